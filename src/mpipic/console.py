@@ -1,0 +1,229 @@
+"""What a run says while it runs: rank 0 speaks, every other rank stays silent and never imports rich.
+
+On a terminal, colours and a live bar; anywhere else, plain lines that a log can keep.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from types import TracebackType
+from typing import Any
+
+TERMINAL_SECONDS = 0.1
+LOG_SECONDS = 10.0
+LOG_WIDTH = 120
+
+
+class Progress:
+    """Progress of the time loop where nothing is shown; `Console.progress` returns this or a kind that shows."""
+
+    def __enter__(self) -> Progress:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        return None
+
+    def update(self, step: int, time: float, max_density: float, particle_steps_per_second: float) -> None:
+        """Show time, largest |density| and particles times steps per second after `step`; call it every step."""
+
+
+class _Line(Progress):
+    """Plain lines: every `LOG_SECONDS`, and at the end the last state."""
+
+    interval = LOG_SECONDS
+
+    def __init__(self, total_steps: int, out: Any) -> None:
+        self.total = total_steps
+        self.out = out
+        self._begin = time.monotonic()
+        self._next = self._begin + self.interval
+        self._state: tuple[int, float, float, float] = (0, 0.0, float("nan"), float("nan"))
+        self._shown = -1
+
+    def update(self, step: int, time: float, max_density: float, particle_steps_per_second: float) -> None:
+        self._state = (step, time, max_density, particle_steps_per_second)
+        if _now() >= self._next:
+            self._show()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._state[0] != self._shown and self._state[0] > 0:
+            self._show()
+
+    def _show(self) -> None:
+        self._next = _now() + self.interval
+        self._shown = self._state[0]
+        self._draw()
+
+    def _draw(self) -> None:
+        _plain(self.out, f"step {self._state[0]}/{self.total}  {self._numbers()}  {self._left()}")
+
+    def _numbers(self) -> str:
+        _, at, density, rate = self._state
+        return f"t = {at:.6g}  max |ρ| = {density:.3e}  {rate:.3g} particle-steps/s"
+
+    def _left(self) -> str:
+        step, spent = self._state[0], _now() - self._begin
+        if step >= self.total or step <= 0:
+            return f"{duration(spent)} spent"
+        return f"{duration(spent / step * (self.total - step))} left"
+
+
+class _Bar(_Line):
+    """A live bar on a terminal, redrawn at most every `TERMINAL_SECONDS` and by no other thread."""
+
+    interval = TERMINAL_SECONDS
+
+    def __enter__(self) -> Progress:
+        from rich.progress import BarColumn, TextColumn
+        from rich.progress import Progress as Live
+
+        forms = ("{task.completed}/{task.total}", "{task.description}")
+        count, numbers = (TextColumn(form, markup=False) for form in forms)
+        self._live = Live(count, BarColumn(bar_width=10), numbers, console=self.out, auto_refresh=False)
+        self._live.start()
+        self._task = self._live.add_task("", total=self.total)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        super().__exit__(kind, error, trace)
+        self._live.stop()
+
+    def _draw(self) -> None:
+        description = f"{self._left()}  {self._numbers()}"  # a narrow terminal cuts the end
+        self._live.update(self._task, completed=self._state[0], description=description, refresh=True)
+
+
+class Console:
+    """The voice of a run.
+
+    Parameters
+    ----------
+    comm : mpi4py communicator; only its rank 0 prints
+    quiet : print warnings and failures only
+    out, err : where to print, standard output and standard error by default
+
+    Notes
+    -----
+    Every method is local, does nothing on ranks other than 0, and takes text as it is, without markup.
+    """
+
+    def __init__(self, comm: Any, quiet: bool = False, out: Any = None, err: Any = None) -> None:
+        self._out: Any = None
+        self._err: Any = None
+        self._quiet = quiet
+        if comm.rank == 0:
+            self._out, self._err = _rich_console(out, stderr=False), _rich_console(err, stderr=True)
+
+    @property
+    def _speaks(self) -> bool:
+        return self._out is not None and not self._quiet
+
+    def banner(self, lines: Sequence[tuple[str, str]]) -> None:
+        """Print what is about to run: one line for each (name, value), values in one column."""
+        if self._speaks:
+            width = max((len(name) for name, _ in lines), default=0)
+            for name, value in lines:
+                _plain(self._out, f"{name:<{width}}  {value}")
+
+    def progress(self, total_steps: int) -> Progress:
+        """A context whose `update` is called every step; costs less than 2 µs when there is nothing to print."""
+        if not self._speaks:
+            return Progress()
+        return (_Bar if self._out.is_terminal else _Line)(total_steps, self._out)
+
+    def error_table(self, reports: Iterable[Any]) -> None:
+        """Print error reports: two lines each, density and velocity, with l1, l2 and linf; None prints as a dash."""
+        rows = []
+        for report in reports:
+            share = report.null_space_fraction
+            rows.append((str(report.step), f"{report.time:.6g}", "density", *_norms(report.density), _number(share)))
+            rows.append(("", "", "velocity", *_norms(report.velocity), ""))
+        if rows:
+            self._table("errors", ("step", "time", "of", "l1", "l2", "linf", "null-space share"), rows)
+
+    def phase_table(self, seconds: Mapping[str, float], total: float) -> None:
+        """Print the seconds of each phase, longest first, their share of `total`, and what no phase accounts for."""
+        phases = sorted(seconds.items(), key=lambda item: -item[1])
+        rest = total - sum(seconds.values())
+        phases += [("other", rest)] if rest > 0.0005 * total else []
+        rows = [(name, f"{spent:.3f}", _share(spent, total)) for name, spent in [*phases, ("total", total)]]
+        self._table("time", ("phase", "seconds", "share"), rows)
+
+    def message(self, text: str) -> None:
+        """Print a line."""
+        if self._speaks:
+            _plain(self._out, text)
+
+    def warning(self, text: str) -> None:
+        """Print a warning to standard error, also when quiet."""
+        if self._err is not None:
+            _plain(self._err, f"warning: {text}", "yellow")
+
+    def fail(self, text: str) -> None:
+        """Print an error to standard error, also when quiet."""
+        if self._err is not None:
+            _plain(self._err, f"error: {text}", "bold red")
+
+    def _table(self, title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+        if not self._speaks:
+            return
+        from rich.box import SIMPLE_HEAD
+        from rich.table import Table
+        from rich.text import Text
+
+        table = Table(title=title, box=SIMPLE_HEAD, title_justify="left", pad_edge=False)
+        words = {"of", "phase"}
+        for name in header:
+            table.add_column(name, justify="left" if name in words else "right", no_wrap=True)
+        for row in rows:
+            table.add_row(*(Text(cell) for cell in row))
+        self._out.print(table)
+
+
+def duration(seconds: float) -> str:
+    """A time span in words: 3.2 s, 4:05, 2:03:09."""
+    if not 0.0 <= seconds < 1e9:
+        return "?"
+    if seconds < 60.0:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
+
+
+def _rich_console(file: Any, stderr: bool) -> Any:
+    from rich.console import Console as Rich
+
+    console = Rich(file=file, stderr=stderr, highlight=False)
+    if not console.is_terminal:
+        console = Rich(file=file, stderr=stderr, highlight=False, width=LOG_WIDTH, color_system=None)
+    return console
+
+
+def _plain(console: Any, text: str, style: str | None = None) -> None:
+    """Print text as it is; long lines are left to the terminal."""
+    console.print(text, markup=False, highlight=False, soft_wrap=True, emoji=False, style=style)
+    console.file.flush()
+
+
+def _now() -> float:
+    return time.monotonic()
+
+
+def _norms(norms: Any) -> tuple[str, str, str]:
+    return _number(norms.l1), _number(norms.l2), _number(norms.linf)
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3e}"
+
+
+def _share(spent: float, total: float) -> str:
+    return f"{100.0 * spent / total:.1f} %" if total > 0.0 else "-"

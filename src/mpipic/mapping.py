@@ -1,0 +1,300 @@
+"""Mapping between particles and nodes on the linear basis, with lumped mass.
+
+Symbols as in the method: Φ interpolates nodes to particles, D^a differentiates, d = Φᵀ1 are the row sums, and
+S = diag(d)⁻¹ Φᵀ is the paper's mapping matrix. Both classes here answer the same questions at the particles' present
+positions: `Mapping` particle by particle, for any values (the library's door); `Sweep` for the particles that a run
+advances, cell by cell from pair moments and in one pass over the particles a step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from mpipic import migration
+from mpipic.grid import FloatArray, Grid
+from mpipic.kernels import BY_DIMENSION, generic
+from mpipic.particles import IntArray, Particles, locate
+
+
+class NodalMapping(Protocol):
+    """What a filter needs of a mapping: S's division by the row sums, on nodal arrays."""
+
+    grid: Grid
+    weights: FloatArray
+
+    def divide(self, sums: FloatArray, out: FloatArray | None = None) -> FloatArray:
+        """Nodal means from nodal sums: diag(d)⁻¹ sums, 0 on nodes that no particle sees."""
+        ...
+
+
+def _divide(weights: FloatArray, sums: FloatArray, out: FloatArray | None) -> FloatArray:
+    result = np.empty(sums.shape) if out is None else out
+    if sums.ndim == 1:
+        generic.divide(sums[:, None], weights, result[:, None])
+    else:
+        generic.divide(sums, weights, result)
+    return result
+
+
+def _columns(values: FloatArray) -> FloatArray:
+    """(n,) or (n, k) as C-contiguous (n, k)."""
+    values = np.asarray(values, dtype=np.float64)
+    return np.ascontiguousarray(values.reshape(len(values), -1))
+
+
+class Mapping:
+    """Φ, D and S at given positions, applied to any particle values.
+
+    Parameters
+    ----------
+    grid
+        The node grid.
+    position : (n, d)
+        Positions in this rank's cells, in the unit of `grid.length`. `mpipic.Placement` brings particles there.
+
+    Attributes
+    ----------
+    weights : (local_nodes,)
+        Row sums d = Φᵀ1, right on own and ghost nodes.
+
+    Raises
+    ------
+    ValueError
+        A position is not in this rank's cells; names the first.
+
+    Notes
+    -----
+    Collective, as are `p2g` and `sums`; `g2p`, `gradient` and `divergence` are local. Each costs one pass over the
+    particles, and halo exchanges as stated. Nodal arrays are ghosted (see `mpipic.grid`).
+
+    References
+    ----------
+    Gritton, Berzins, Kirby (2015), eq. 8-13.
+    """
+
+    def __init__(self, grid: Grid, position: FloatArray) -> None:
+        self.grid = grid
+        self._geometry = (grid.padded_shape, grid.layout)
+        self._inverse_h = np.array(grid.inverse_h)
+        self.update(position)
+
+    def update(self, position: FloatArray) -> None:
+        """Move the mapping to new positions. Collective; one pass and one sum and fill of the halo."""
+        self._cell, self._fraction = locate(self.grid, self.grid.coordinate_of(_columns(position)))
+        self.weights = self.sums(np.ones(len(self._cell)))
+
+    def sums(self, values: FloatArray) -> FloatArray:
+        """Φᵀ values: (n,) or (n, k) to (local_nodes,) or (local_nodes, k).
+
+        Σ over own nodes of all ranks = Σ over particles. Collective; one halo sum, one fill.
+        """
+        rows = _columns(values)
+        out = self.grid.zeros(rows.shape[1])
+        generic.add_sums(self._cell, self._fraction, rows, *self._geometry, out)
+        self.grid.sum_halo(out)
+        self.grid.fill_halo(out)
+        return out.reshape((-1, *np.shape(values)[1:]))
+
+    def divide(self, sums: FloatArray, out: FloatArray | None = None) -> FloatArray:
+        """diag(d)⁻¹ sums, 0 on nodes that no particle sees. Local."""
+        return _divide(self.weights, sums, out)
+
+    def p2g(self, values: FloatArray) -> FloatArray:
+        """S values: weighted means at the nodes, (n, ...) to (local_nodes, ...). Keeps constants. Collective."""
+        return self.divide(self.sums(values))
+
+    def g2p(self, nodal: FloatArray) -> FloatArray:
+        """Φ nodal: interpolation, (local_nodes, ...) to (n, ...). Keeps constants and linear functions. Local."""
+        rows = _columns(nodal)
+        out = np.zeros((len(self._cell), rows.shape[1]))
+        generic.add_interpolated(self._cell, self._fraction, rows, *self._geometry, out)
+        return out.reshape((-1, *np.shape(nodal)[1:]))
+
+    def gradient(self, nodal: FloatArray) -> FloatArray:
+        """D^a nodal: (local_nodes,) to (n, d); on a node, the slope of the cell to its right. Local."""
+        out = np.zeros_like(self._fraction)
+        generic.add_gradient(self._cell, self._fraction, nodal.reshape(-1), self._inverse_h, *self._geometry, out)
+        return out
+
+    def divergence(self, nodal: FloatArray) -> FloatArray:
+        """Σ_a D^a nodal_a: (local_nodes, d) to (n,). Local."""
+        out = np.zeros(len(self._cell))
+        generic.add_divergence(self._cell, self._fraction, _columns(nodal), self._inverse_h, *self._geometry, out)
+        return out
+
+
+class Sweep:
+    """The particles of a run, mapped: kept with them as they move, one pass over memory a step.
+
+    Holds at the present positions the sums Φᵀ of all state columns, the row sums d, and the pair moments of every
+    cell, from which `gram`, `gradient_sums` and `divergence_sums` follow without touching particles. `advance` ends
+    one position and begins the next.
+
+    Parameters
+    ----------
+    grid
+    particles
+        State columns: one scalar, then a vector of d components. Must be in this rank's cells; sorted by cell here.
+    displacement : d floats, unit of length
+        What every particle moves by in `advance`; all zero: mapped once and for all.
+
+    Attributes
+    ----------
+    sums : (local_nodes, d + 2)
+        Φᵀ(scalar), Φᵀ(vector), d; right on own and ghost nodes.
+    weights : (local_nodes,)
+        The row sums d, by themselves.
+    peak : float
+        Largest |scalar| of this rank's particles when last touched, NaN if any is.
+
+    Notes
+    -----
+    Building and `advance` are collective on neighbours; the other verbs are local on nodal arrays whose ghosts are
+    filled, and leave sums whose ghosts are not: end them with `complete`. Cost: `advance` O(particles), others O(cells).
+    Memory per rank: nodal arrays, 3^d numbers a cell.
+    """
+
+    def __init__(
+        self,
+        grid: Grid,
+        particles: Particles,
+        displacement: Sequence[float],
+        phase: Callable[[str], None] = lambda name: None,
+    ) -> None:
+        self.grid, self.particles = grid, particles
+        self._phase = phase
+        self._kernels = BY_DIMENSION[grid.dim]
+        shift = tuple(grid.rounded(np.fmod(np.asarray(displacement) / np.array(grid.h), grid.cells)).tolist())
+        self.moving = any(shift)
+        period = tuple(map(float, grid.cells))
+        self._geometry = (grid.inverse_h, grid.tolerance, period, grid.top, shift, grid.owned_start)
+        self._cells = (grid.padded_shape, grid.layout)
+        self.routes = migration.Routes(grid, shift) if self.moving and grid.size > 1 else None
+        self.sums = grid.zeros(grid.dim + 2)
+        self.weights = np.empty(grid.local_nodes)
+        self._moments = np.empty((grid.local_cells, 3**grid.dim))
+        self._leaving = np.empty(max(1024, particles.count // 16), dtype=np.int64)
+        self.peak = 0.0
+        self.migrated = 0
+        self.sorts = 0
+        self._sort()
+        self._clear(weigh=True)
+        self._deposit(0, particles.count, weigh=True)
+        self._finish_sums(weigh=True)
+
+    # ------------------------------------------------------------ on nodes
+
+    @property
+    def state_sums(self) -> tuple[FloatArray, FloatArray]:
+        """Views of `sums`: Φᵀ(scalar) (local_nodes, 1) and Φᵀ(vector) (local_nodes, d)."""
+        return self.sums[:, :1], self.sums[:, 1:-1]
+
+    def divide(self, sums: FloatArray, out: FloatArray | None = None) -> FloatArray:
+        """diag(d)⁻¹ sums, 0 on nodes that no particle sees. Local."""
+        return _divide(self.weights, sums, out)
+
+    def gram(self, nodal: FloatArray, out: FloatArray) -> FloatArray:
+        """out += G nodal, G = ΦᵀΦ, one column; complete it afterwards. Local."""
+        self._kernels.gram(self._moments, *self._cells, nodal, out)
+        return out
+
+    def gradient_sums(self, nodal: FloatArray, out: FloatArray) -> FloatArray:
+        """out += ΦᵀD^a nodal: one column to d; complete it afterwards. Local."""
+        self._kernels.cross(self._moments, *self._cells, self.grid.inverse_h, nodal, out, False)
+        return out
+
+    def divergence_sums(self, nodal: FloatArray, out: FloatArray) -> FloatArray:
+        """out += Σ_a ΦᵀD^a nodal_a: d columns to one; complete it afterwards. Local."""
+        self._kernels.cross(self._moments, *self._cells, self.grid.inverse_h, nodal, out, True)
+        return out
+
+    def complete(self, sums: FloatArray) -> FloatArray:
+        """Nodal sums made right on own and ghost nodes: one halo sum, one fill. Collective on neighbours."""
+        self._phase("halo")
+        self.grid.sum_halo(sums)
+        self.grid.fill_halo(sums)
+        self._phase("nodes")
+        return sums
+
+    # ------------------------------------------------------------ on particles
+
+    def advance(self, nodal: FloatArray, rates: tuple[float, float], direct: bool = False) -> None:
+        """Add to every particle an increment from its nodes, move it, migrate it, and map the new state.
+
+        Parameters
+        ----------
+        nodal : (local_nodes, 1 + d), ghosts filled
+        rates : factors of the scalar's and of the vector's increment
+            The scalar gets rates[0] Φ nodal[:, 0], the vector rates[1] Φ nodal[:, 1:]; or, if `direct`, the scalar
+            rates[0] Σ_a D^a nodal[:, a], the vector rates[1] D nodal[:, 0].
+
+        Notes
+        -----
+        Collective on neighbours: one message for the halo each way, and with several ranks a count and a block of
+        particles to at most 2^d ranks.
+        """
+        particles, weigh = self.particles, self.moving
+        self._phase("particles")
+        self._clear(weigh)
+        self.peak, breaks, left = self._kernels.advance(
+            particles.coordinate, particles.state, nodal, rates, self.sums, self._moments,
+            0, particles.count, self._geometry, *self._cells, direct, weigh, self._leaving,
+        )  # fmt: skip
+        if self.routes is not None:
+            self._phase("migrate")
+            arrived = migration.migrate(particles, self.routes, self._leavers(left))
+            self.migrated += arrived
+            self._phase("particles")
+            self._deposit(particles.count - arrived, particles.count, weigh)
+        self._finish_sums(weigh)
+        if weigh:
+            self._sort_when_due(breaks)
+
+    def _leavers(self, left: int) -> IntArray:
+        if left <= len(self._leaving):
+            return self._leaving[:left].copy()
+        self._leaving = np.empty(left + left // 4, dtype=np.int64)
+        return np.flatnonzero(self.grid.owner_of(self.particles.coordinate) != self.grid.rank)
+
+    def _clear(self, weigh: bool) -> None:
+        self.sums.fill(0.0)
+        if weigh:
+            self._moments.fill(0.0)
+
+    def _deposit(self, start: int, stop: int, weigh: bool) -> None:
+        particles = self.particles
+        peak = self._kernels.deposit(
+            particles.coordinate, particles.state, self.sums, self._moments,
+            start, stop, self._geometry, *self._cells, weigh,
+        )  # fmt: skip
+        self.peak = float(np.maximum(self.peak, peak))
+
+    def _finish_sums(self, weigh: bool) -> None:
+        if weigh and self.grid.dim == 3:
+            self._kernels.row_sums(self._moments, *self._cells, self.sums, self.sums.shape[1] - 1)
+        self.complete(self.sums)
+        if weigh:
+            self.weights[:] = self.sums[:, -1]
+
+    # ------------------------------------------------------------ order in memory
+
+    def _sort(self) -> None:
+        self._phase("sort")
+        self.particles.sort_by_cell(self.grid)
+        self.sorts += 1
+        self._excess, self._fewest_breaks = 0, None
+
+    def _sort_when_due(self, breaks: int) -> None:
+        """Sort once disorder has cost as much as sorting does.
+
+        Disorder is counted in breaks, particles in another cell than their predecessor: each costs about a tenth of
+        what sorting costs a particle. A count, not a clock, decides, so that runs repeat to the bit.
+        """
+        if self._fewest_breaks is None:
+            self._fewest_breaks = breaks
+        self._excess += max(0, breaks - self._fewest_breaks)
+        if self._excess > 12 * self.particles.count:
+            self._sort()

@@ -1,0 +1,199 @@
+"""What each rank runs for `test_output_ranks.py`: python output_helpers.py CASE FOLDER."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+from mpi4py import MPI
+
+from mpipic import hdf5, output
+from mpipic.output import OutputError, ParticleSeries, RunDirectory
+from mpipic.particle_file import ParticleFileError, read_particle_file
+from mpipic.plots import gather_sample
+
+COMM = MPI.COMM_WORLD
+TOTAL = 2003
+
+
+def owner(ids: np.ndarray, ranks: int) -> np.ndarray:
+    """Scattered ownership; the last of three or more ranks holds nothing."""
+    return (ids * 7 + ids // 11) % max(1, ranks - (ranks > 2))
+
+
+def particle_values(ids: np.ndarray, dim: int) -> dict[str, np.ndarray]:
+    """Position and fields as functions of the id: the same particles on any number of ranks."""
+    factors = (0.617, 0.414, 0.732)[:dim]
+    position = np.stack([((ids + 1) * factor % 1.0) * (axis + 1) for axis, factor in enumerate(factors)], axis=1)
+    return {
+        "position": position,
+        "density": np.sin(ids),
+        "velocity": np.cos(ids[:, None] + np.arange(dim)),
+        "colour": (ids % 5).astype(np.int32),
+    }
+
+
+def particles_of(rank: int, ranks: int, dim: int) -> SimpleNamespace:
+    """The particles of one rank, as views that are not contiguous."""
+    ids = np.arange(TOTAL)
+    ids = ids[owner(ids, ranks) == rank]
+    values = particle_values(ids, dim)
+    strided = {name: np.asfortranarray(np.repeat(array, 2, axis=0))[::2] for name, array in values.items()}
+    return SimpleNamespace(ids=ids, position=strided.pop("position"), fields=strided)
+
+
+def nodal_value(cells: tuple[int, ...]) -> np.ndarray:
+    """A different number on every node."""
+    return np.arange(np.prod(cells), dtype=float).reshape(cells) + 0.5
+
+
+def grid_of(rank: int, ranks: int, dim: int) -> tuple[SimpleNamespace, dict[str, np.ndarray]]:
+    """Uneven slabs along the last axis, so that blocks of a data set interleave in the file."""
+    cells, length = (5, 4, 11)[-dim:], (1.0, 2.0, 3.0)[:dim]
+    cuts = [cells[-1] * r * (r + 1) // (ranks * (ranks + 1)) for r in range(ranks + 1)]
+    owned = (slice(None),) * (dim - 1) + (slice(cuts[rank], cuts[rank + 1]),)
+    density = nodal_value(cells)[owned]
+    start = (0,) * (dim - 1) + (cuts[rank],)
+    grid = SimpleNamespace(cells=cells, length=length, owned_start=start, owned_shape=density.shape, comm=COMM)
+    return grid, {"density": density, "velocity": np.stack([density * (k + 1) for k in range(dim)], axis=-1)}
+
+
+def write_step(series: ParticleSeries, step: int, dim: int) -> None:
+    """One snapshot of the particles and nodes above, time 0.25 a step."""
+    grid, nodal = grid_of(COMM.rank, COMM.size, dim)
+    series.write(step, 0.25 * step, 0.25, particles_of(COMM.rank, COMM.size, dim), grid, nodal)
+
+
+def expect_error(action, *words: str) -> None:
+    """The action raises an OutputError on every rank, with the same text that has all the words."""
+    try:
+        action()
+        said = None
+    except OutputError as error:
+        said = str(error)
+    everywhere = COMM.allgather(said)
+    assert said is not None and len(set(everywhere)) == 1, everywhere
+    assert all(word in said for word in words), said
+
+
+def case_write(folder: Path) -> None:
+    """Two snapshots in each dimension."""
+    for dim in (1, 2, 3):
+        with ParticleSeries(folder / f"{dim}.h5", COMM) as series:
+            write_step(series, 0, dim)
+            write_step(series, 10, dim)
+
+
+def case_funnel(folder: Path) -> None:
+    """The same through rank 0, in pieces of a few rows."""
+    hdf5.has_mpi = lambda: False
+    output.PIECE_BYTES = 400
+    case_write(folder)
+
+
+def case_failure(folder: Path) -> None:
+    """A snapshot that fails in the middle on the last rank leaves the others whole, and the series goes on."""
+    with ParticleSeries(folder / "1.h5", COMM) as series:
+        write_step(series, 0, 1)
+        place, calls = hdf5.write_block, []
+
+        def failing(*args: object, **kwargs: object) -> None:
+            place(*args, **kwargs)
+            calls.append(1)
+            if len(calls) == 4 and COMM.rank == (COMM.size - 1 if series._collective else 0):
+                raise OSError("disk full")
+
+        hdf5.write_block = failing
+        expect_error(lambda: write_step(series, 1, 1), "step 1", "disk full")
+        hdf5.write_block = place
+        expect_error(lambda: write_step(series, 0, 1), "written before")
+        wrong = particles_of(COMM.rank, COMM.size, 1)
+        if COMM.rank == COMM.size - 1:
+            wrong.fields["density"] = wrong.fields["density"].astype(np.float32)
+        grid, nodal = grid_of(COMM.rank, COMM.size, 1)
+        if COMM.size > 1:
+            last = f"rank {COMM.size - 1}"
+            expect_error(lambda: series.write(3, 0.75, 0.25, wrong, grid, nodal), "step 3", "density", last)
+        write_step(series, 2, 1)
+
+
+def case_failure_funnel(folder: Path) -> None:
+    """The same when rank 0 writes for all."""
+    hdf5.has_mpi = lambda: False
+    case_failure(folder)
+
+
+def case_killed(folder: Path) -> None:
+    """The run dies after two snapshots without closing."""
+    series = ParticleSeries(folder / "1.h5", COMM)
+    write_step(series, 0, 1)
+    write_step(series, 1, 1)
+    COMM.Barrier()
+    os.kill(os.getpid(), 9)
+
+
+def case_interrupt(folder: Path) -> None:
+    """All ranks leave by an exception: the file is complete. Then one rank alone does: nobody waits for ever."""
+    try:
+        with ParticleSeries(folder / "1.h5", COMM) as series:
+            write_step(series, 0, 1)
+            raise KeyboardInterrupt
+    except KeyboardInterrupt:
+        pass
+    COMM.Barrier()
+    assert (folder / "1.h5").exists() and not (folder / "1.h5.part").exists()
+    output.ARRIVAL_SECONDS = 0.2
+    try:
+        with ParticleSeries(folder / "2.h5", COMM) as series:
+            write_step(series, 0, 1)
+            if COMM.rank == 0:
+                raise ZeroDivisionError
+            COMM.recv(source=0)
+    except ZeroDivisionError:
+        print("one rank left", flush=True)
+        COMM.Abort(7)
+
+
+def case_directory(folder: Path) -> None:
+    """Names are agreed on, and refusal is the same everywhere."""
+    paths = COMM.allgather([RunDirectory.default("a b/c", COMM, folder / "runs") for _ in range(3)])
+    assert paths == [paths[0]] * COMM.size and len(set(paths[0])) == 3, paths
+    run = RunDirectory(folder / "x" / "y", COMM)
+    run.write_summary({"ranks": COMM.size})
+    run.write_history([{"step": 1}])
+    COMM.Barrier()
+    expect_error(lambda: RunDirectory(folder / "x" / "y", COMM), "summary.json", str(folder / "x" / "y"))
+
+
+def case_sample(folder: Path) -> None:
+    """A sample of at most 100 and one of everybody, saved for comparison."""
+    particles = particles_of(COMM.rank, COMM.size, 2)
+    few, everybody = gather_sample(particles, COMM, 100), gather_sample(particles, COMM)
+    assert (few is None) == (COMM.rank != 0) == (everybody is None)
+    if few is not None:
+        np.savez(folder / "sample.npz", all=everybody["ids"], **few)
+
+
+def case_read(folder: Path) -> None:
+    """Rows are split without gaps; what is wrong on any rank is said on all, with the count of the whole file."""
+    mine = read_particle_file(folder / "good.h5", 1, [1.0], COMM)
+    assert set(mine) == {"ids", "position", "density"}
+    assert np.array_equal(mine["density"], mine["ids"]) and mine["density"].dtype == np.float64
+    assert np.array_equal(np.concatenate(COMM.allgather(mine["ids"])), np.arange(7))
+    assert abs(len(mine["ids"]) - 7 / COMM.size) < 1
+    for name, problem in (("bad.h5", "in 2 rows, first row 1: (1.5)"), ("none.h5", "no such file")):
+        try:
+            read_particle_file(folder / name, 1, [1.0], COMM)
+            said = []
+        except ParticleFileError as error:
+            said = error.problems
+        everywhere = COMM.allgather(said)
+        assert len(said) == 1 and problem in said[0] and everywhere == [said] * COMM.size, everywhere
+
+
+if __name__ == "__main__":
+    globals()[f"case_{sys.argv[1]}"](Path(sys.argv[2]))
+    print(f"rank {COMM.rank} of {COMM.size} done", flush=True)

@@ -1,0 +1,310 @@
+"""What is refused in a scene, and in which words."""
+
+import pytest
+
+from mpipic.scene import CHOICES, FIXED_FOR_NOW, USED_WITH, Problem, Scene, SceneError, available
+from mpipic.scene_text import closest
+from scene_helpers import message, refused
+
+
+def test_a_misspelt_choice_names_key_value_choices_and_the_closest():
+    assert message("filter.kind=locale") == (
+        'filter.kind = "locale": must be one of none, local (order, chebyshev, exact, svd are not available yet). '
+        'Did you mean "local"?'
+    )
+    (problem,) = refused({"filter": {"kind": "locale"}}).problems
+    assert isinstance(problem, Problem)
+    assert (problem.key, problem.value, problem.choices, problem.suggestion) == (
+        *("filter.kind", "locale"),
+        *(("none", "local"), "local"),
+    )
+
+
+@pytest.mark.parametrize(("key", "name"), [(key, name) for key in CHOICES for name in CHOICES[key]])
+def test_a_choice_is_either_available_or_refused_as_not_yet(key, name, tmp_path):
+    (tmp_path / "p.h5").write_bytes(b"x")
+    file = ["particles.layout=file", f"particles.path={tmp_path / 'p.h5'}"] if name == "file" else []
+    if CHOICES[key][name]:
+        Scene.load(None, [*file, f"{key}={name}"])
+    else:
+        text = message(f"{key}={name}")
+        assert text.startswith(f'{key} = "{name}": not available yet; must be ')
+        assert all(choice in text for choice in available(key))
+
+
+def test_what_is_available_is_what_this_version_can_do():
+    assert {key: available(key) for key in CHOICES} == {
+        "particles.layout": ("lattice", "jittered", "random", "file"),
+        "initial.profile": ("gaussian", "plane-gaussian", "plane-wave", "standing-wave", "file"),
+        "mapping.basis": ("linear",),
+        "mapping.mass": ("lumped",),
+        "mapping.gradient": ("direct",),
+        "filter.kind": ("none", "local"),
+        "time.integrator": ("symplectic",),
+    }
+
+
+@pytest.mark.parametrize("key", FIXED_FOR_NOW)
+def test_a_number_that_switches_on_a_later_part_is_refused(key):
+    assert message(f"{key}=4") == f"{key} = 4: not available yet; must be 0"
+    assert message(f"{key}=-1").endswith("must be a whole number, 0 or above")
+
+
+def test_a_later_choice_is_available_after_one_change_in_the_registry(monkeypatch):
+    monkeypatch.setitem(CHOICES["filter.kind"], "order", True)
+    assert Scene.load(None, ["filter.kind=order", "filter.order=3"]).filter.order == 3
+    assert message("filter.order=3").endswith(
+        'no effect with filter.kind = "local"; it is used with filter.kind = order'
+    )
+    monkeypatch.delitem(FIXED_FOR_NOW, "damping.order")
+    assert Scene.load(None, ["damping.order=4", "damping.strength=2"]).damping.strength == 2.0
+    assert message("damping.strength=2").endswith("damping.order = 0; it is used with damping.order above 0")
+
+
+UNUSED = [
+    (
+        ["particles.jitter=0.4"],
+        'has no effect with particles.layout = "lattice"; it is used with particles.layout = jittered',
+    ),
+    (["particles.seed=3"], "it is used with particles.layout = jittered, random"),
+    (
+        ["particles.path=x.h5"],
+        'has no effect with particles.layout = "lattice"; it is used with particles.layout = file',
+    ),
+    (["initial.wave=[2]"], "it is used with initial.profile = plane-gaussian, plane-wave, standing-wave"),
+    (["initial.wave=[1, 1]"], 'has no effect with initial.profile = "gaussian"'),
+    (["initial.sharpness=3", "initial.profile=plane-wave"], 'has no effect with initial.profile = "plane-wave"'),
+    (["initial.center=[0.2]", "initial.profile=standing-wave"], "used with initial.profile = gaussian, plane-gaussian"),
+    (
+        ["mapping.penalty=0.2"],
+        'with mapping.mass = "lumped"; it is used with mapping.mass = penalised, not available yet',
+    ),
+    (["mapping.penalty_order=3"], "it is used with mapping.mass = penalised, not available yet"),
+    (["mapping.gradient_order=4"], "it is used with mapping.gradient = grid, not available yet"),
+    (["filter.order=3"], "it is used with filter.kind = order, chebyshev, not available yet"),
+    (["filter.tolerance=1e-8"], "it is used with filter.kind = exact, not available yet"),
+    (
+        ["damping.strength=2"],
+        "has no effect with damping.order = 0; it is used with damping.order above 0, not available yet",
+    ),
+]
+
+
+@pytest.mark.parametrize(
+    ("overrides", "expected"), UNUSED, ids=lambda value: value[0] if isinstance(value, list) else ""
+)
+def test_a_key_that_does_nothing_is_refused_and_says_what_would_use_it(overrides, expected):
+    text = message(*overrides)
+    assert text.startswith(overrides[0].split("=")[0] + " = ") and expected in text
+    assert ("not available yet" in text) == ("not available yet" in expected)
+
+
+def test_every_key_with_a_condition_is_among_the_cases_above():
+    covered = {overrides[0].split("=")[0] for overrides, _ in UNUSED}
+    assert covered == set(USED_WITH) - {"particles.per_cell"}
+
+
+def test_particles_per_cell_do_nothing_for_particles_from_a_file(tmp_path):
+    (tmp_path / "p.h5").write_bytes(b"x")
+    text = message("particles.layout=file", f"particles.path={tmp_path / 'p.h5'}", "particles.per_cell=[3]")
+    assert text.endswith("it is used with particles.layout = lattice, jittered, random")
+
+
+def test_an_unused_key_may_hold_its_default():
+    scene = Scene.load(None, ["particles.jitter=0", "initial.wave=[1]", "filter.order=2", "damping.strength=1"])
+    assert scene == Scene.load(None)
+    assert Scene.load(None, ["grid.length=[3]", "initial.profile=plane-wave", "initial.center=[1.5]"])
+
+
+BAD_VALUES = {
+    "grid.cells": ["0", "[0]", "[]", "[1, 2, 3, 4]", "[1.0]", "[true]", '["8"]', "8", "[[8]]", "[9223372036854775808]"],
+    "grid.length": ["[0]", "[-1]", "[inf]", "[nan]", "1.0", '["1"]', "[]"],
+    "particles.per_cell": ["[0]", "[2.0]", "2", "[false]"],
+    "particles.jitter": ["-0.1", "nan", "inf", "true", "[1]", "x"],
+    "particles.seed": ["-1", "1.0", "9223372036854775808", "true"],
+    "particles.path": ["3", "[]"],
+    "gas.sound_speed": ["0", "-1", "inf", "nan", "false"],
+    "gas.density": ["0", "-1.5", "inf", "{a = 1}", "1979-05-27", "1" + "0" * 400],
+    "gas.flow": ["[inf]", "[nan]", "0.05", "[true]", "[]"],
+    "initial.center": ["[nan]", "0.5", '["a"]'],
+    "initial.sharpness": ["0", "-60", "inf"],
+    "initial.wave": ["[1.0]", "1", "[true]"],
+    "mapping.penalty": ["0", "-1", "inf"],
+    "mapping.penalty_order": ["0", "1.5"],
+    "mapping.gradient_order": ["0", "3", "14", "10.0"],
+    "filter.order": ["0", "-1", "2.0"],
+    "filter.tolerance": ["0", "1", "nan", "-1e-10"],
+    "damping.order": ["-1", "0.5", "true"],
+    "damping.strength": ["0", "-1", "inf"],
+    "time.dt": ["0", "-1e-3", "inf", "nan", "[1]", "true"],
+    "time.cfl": ["0", "-0.1", "inf", "nan"],
+    "time.blow_up": ["1", "0.5", "inf", "-100", "nan"],
+    "time.steps": ["-1", "10.0", "1e3", "true", "many"],
+    "output.every": ["-1", "1.5", "true"],
+    "output.checkpoint_every": ["-1", "x"],
+    "output.report_at": ["5", "[-1]", "[1.0]", "[true]"],
+}
+
+
+def test_every_key_that_is_not_a_choice_is_among_the_bad_values():
+    keys = {f"{section}.{key}" for section, table in Scene().to_dict().items() for key in table} | {"time.cfl"}
+    assert set(BAD_VALUES) == keys - set(CHOICES)
+
+
+@pytest.mark.parametrize(("key", "value"), [(key, value) for key, values in BAD_VALUES.items() for value in values])
+def test_a_value_of_the_wrong_type_or_range_is_refused_by_name(key, value):
+    text = message(f"{key}={value}")
+    assert text.startswith(f"{key} = ") and ": must be " in text
+
+
+@pytest.mark.parametrize(("key", "value"), [(key, value) for key in CHOICES for value in ("3", "true", '""', "[]")])
+def test_a_choice_that_is_no_name_is_refused_with_the_choices(key, value):
+    text = message(f"{key}={value}")
+    assert all(name in text for name in CHOICES[key])
+
+
+def test_a_number_in_quotes_is_recognised():
+    assert message("time.dt=.5").endswith("must be a finite number above 0; this is text, the number is 0.5")
+    assert message('time.steps="80"').endswith("this is text, the number is 80")
+
+
+CROSS = [
+    (["grid.cells=[8, 8]", "grid.length=[1.0]"], "grid.length", "must have as many entries as grid.cells, 2; it has 1"),
+    (["gas.flow=[1, 1]"], "gas.flow", "must have as many entries as grid.cells, 1; it has 2"),
+    (["initial.center=[0.1, 0.1]"], "initial.center", "must have as many entries as grid.cells"),
+    (["initial.profile=plane-wave", "initial.wave=[1, 0]"], "initial.wave", "must have as many entries as grid.cells"),
+    (["particles.per_cell=[2, 2]"], "particles.per_cell", "must have as many entries as grid.cells"),
+    (["particles.layout=jittered", "particles.per_cell=[2, 2]"], "particles.per_cell", "must have as many entries"),
+    (
+        ["grid.cells=[8, 8]", "particles.layout=random", "particles.per_cell=[2, 2]"],
+        *("particles.per_cell", 'must have exactly 1 entry with particles.layout = "random"'),
+    ),
+    (["grid.cells=[2147483648]"], "grid.cells", "must be fewer than 2^31 = 2147483648 cells"),
+    (["grid.cells=[2048, 1024, 1024]"], "grid.cells", "must be fewer than 2^31"),
+    (["grid.length=[5e-324]"], "grid.length", "is out of the range of floating point"),
+    (["grid.cells=[2, 2]", "grid.length=[1e-200, 1e-200]"], "grid.length", "is out of the range of floating point"),
+    (
+        ["grid.cells=[1]", "particles.per_cell=[9007199254740992]"],
+        "particles.per_cell",
+        "must give fewer than 2^53 particles",
+    ),
+    (
+        ["particles.layout=jittered", "particles.jitter=201"],
+        "particles.jitter",
+        "must be at most 200 particle spacings",
+    ),
+    (["initial.profile=plane-wave", "initial.wave=[0]"], "initial.wave", "must not be zero on every axis"),
+    (["initial.profile=plane-gaussian", "initial.wave=[0]"], "initial.wave", 'initial.profile = "plane-gaussian"'),
+    (["initial.profile=standing-wave", "initial.wave=[0]"], "initial.wave", "must not be zero on every axis"),
+    (["initial.center=[1.5]"], "initial.center", "must lie in the box, from 0 to grid.length = [1.0]"),
+    (["initial.sharpness=1e308", "grid.length=[10]"], "initial.sharpness", "is out of the range of floating point"),
+    (["initial.profile=file"], "initial.profile", 'needs particles.layout = "file"; it is "lattice"'),
+    (["gas.sound_speed=1e200"], "gas.sound_speed", "is out of the range of floating point"),
+    (["gas.sound_speed=1e-200"], "gas.sound_speed", "is out of the range of floating point"),
+    (["time.dt=1e-3", "time.cfl=0.1"], "time.cfl", "give either time.dt or time.cfl, not both; time.dt is 0.001"),
+    (["time.dt=5e-324"], "time.dt", "is out of the range of floating point"),
+    (["time.dt=1e307"], "time.dt", "is out of the range of floating point"),
+    (["time.cfl=1e-310"], "time.cfl", "is out of the range of floating point"),
+    (["gas.flow=[1e308]", "time.dt=1e3"], "time.dt", "is out of the range of floating point"),
+    (["output.report_at=[3, 1001]"], "output.report_at", "must hold steps from 0 to time.steps = 1000"),
+    (["time.steps=0", "output.report_at=[1]"], "output.report_at", "must hold steps from 0 to time.steps = 0"),
+]
+
+
+@pytest.mark.parametrize(
+    ("overrides", "key", "rule"), CROSS, ids=lambda value: value[-1] if isinstance(value, list) else ""
+)
+def test_values_that_do_not_go_together_are_refused(overrides, key, rule):
+    text = message(*overrides)
+    assert text.startswith(f"{key} = ") and rule in text
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ["grid.cells=[2147483647]"],
+        ["grid.cells=[1]", "particles.per_cell=[9007199254740991]"],
+        ["particles.layout=jittered", "particles.jitter=200"],
+        ["particles.layout=jittered", "particles.seed=9223372036854775807"],
+        ["initial.center=[1.0]"],
+        ["initial.profile=standing-wave", "grid.cells=[4, 4]", "initial.wave=[0, -3]"],
+        ["time.steps=0", "output.report_at=[0]"],
+        ["gas.flow=[-3.5]"],
+        ["output.every=5000"],
+    ],
+    ids=lambda overrides: overrides[-1],
+)
+def test_the_last_allowed_value_is_allowed(overrides):
+    assert Scene.load(None, overrides).to_toml()
+
+
+def test_both_time_steps_in_one_file_are_refused():
+    assert "not both" in str(refused("[time]\ndt = 1e-3\ncfl = 0.1\n"))
+
+
+def test_a_rule_is_silent_while_the_keys_that_it_needs_are_wrong():
+    error = refused(
+        {}, ["grid.cells=[8, 0]", "time.steps=-1", "output.report_at=[5000]", "filter.kind=x", "filter.order=3"]
+    )
+    assert [problem.key for problem in error.problems] == ["grid.cells", "filter.kind", "time.steps"]
+    error = refused({}, ["grid.cells=[8, 0]", "gas.flow=[1, 2, 3]"])
+    assert "as many entries as grid.cells, 2; it has 3" in str(error)
+
+
+def test_everything_wrong_is_reported_at_once_in_the_order_of_the_scene():
+    text = """
+        speed = 3
+        [grid]
+        cells = [8, 8]
+        lenght = [1.0, 1.0]
+        [particles]
+        layout = "random"
+        per_cell = [2, 2]
+        [filtr]
+        kind = "local"
+        [initial]
+        wave = [2, 2]
+        sharpness = -1
+        [mapping]
+        basis = "cubic"
+        [time]
+        dt = "fast"
+        steps = 10
+        [output]
+        report_at = [11]
+    """
+    error = refused(text, ["time.blow_up=0", "nonsense", "gas.density=nan"])
+    keys = ["--set nonsense", "speed", "filtr", "grid.lenght", "particles.per_cell", "gas.density", "initial.sharpness"]
+    keys += ["initial.wave", "mapping.basis", "time.dt", "time.blow_up", "output.report_at"]
+    assert [problem.key for problem in error.problems] == keys
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("[filtr]", 'filtr: there is no such section; the sections are grid, particles, .*Did you mean "filter"'),
+        (
+            "[grid]\nlenght = [2]",
+            r'grid.lenght = \[2\]: there is no such key; \[grid\] has cells, length.*"grid.length"',
+        ),
+        ("[initial]\nseed = 3", 'Did you mean "particles.seed"'),
+        ("steps = 3", 'steps = 3: there is no such section.*Did you mean "time.steps"'),
+        ("[Filter]\nkind = 'none'", 'Did you mean "filter"'),
+        ("[initial]\nprofile = 'Plane_Wave'", 'Did you mean "plane-wave"'),
+        ("[[grid]]", r"grid = \[\{\}\]: must be a section, \[grid\], with cells, length"),
+        ("grid = 3", r"grid = 3: must be a section"),
+        ("[grid.cells]\nx = 1", r"grid.cells = \{x = 1\}: must be a list"),
+        ('["a b\\u001b"]', r'"a b\\x1b": there is no such section'),
+        ('[time]\n"\\u202e" = 1', r'time."\\u202e" = 1: there is no such key'),
+    ],
+)
+def test_unknown_names_are_refused_with_the_closest_known_one(text, expected):
+    with pytest.raises(SceneError, match=expected):
+        Scene.from_toml(text)
+    assert len(refused(text).problems) == 1
+
+
+def test_nothing_far_off_is_suggested():
+    assert refused("[zzz]").problems[0].suggestion is None
+    assert closest("qqq", ("none", "local")) is None and closest(3, ("none",)) is None
+    assert closest("LOCAL ", ("none", "local")) == "local"
