@@ -5,6 +5,7 @@ On a terminal, colours and a live bar; anywhere else, plain lines that a log can
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from types import TracebackType
@@ -198,12 +199,26 @@ def duration(seconds: float) -> str:
     return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
 
 
+def _launcher_writes_elsewhere(stderr: bool) -> bool:
+    """Whether a launcher stands between this process and the user, and its own output is no terminal.
+
+    Open MPI gives rank 0 a pseudo terminal whatever its own output is; what counts is where the launcher writes.
+    """
+    if "OMPI_COMM_WORLD_SIZE" not in os.environ:
+        return False
+    try:
+        target = os.readlink(f"/proc/{os.getppid()}/fd/{2 if stderr else 1}")
+    except OSError:
+        return True
+    return not target.startswith(("/dev/pts/", "/dev/tty"))
+
+
 def _rich_console(file: Any, stderr: bool) -> Any:
     from rich.console import Console as Rich
 
     console = Rich(file=file, stderr=stderr, highlight=False)
-    if not console.is_terminal:
-        console = Rich(file=file, stderr=stderr, highlight=False, width=LOG_WIDTH, color_system=None)
+    if not console.is_terminal or (file is None and _launcher_writes_elsewhere(stderr)):
+        console = Rich(file=file, stderr=stderr, highlight=False, width=LOG_WIDTH, color_system=None, force_terminal=False)
     return console
 
 

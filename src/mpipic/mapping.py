@@ -174,7 +174,7 @@ class Sweep:
         self._cells = (grid.padded_shape, grid.layout)
         self.routes = migration.Routes(grid, shift) if self.moving and grid.size > 1 else None
         self.sums = grid.zeros(grid.dim + 2)
-        self.weights = np.empty(grid.local_nodes)
+        self.weights = self.sums[:, -1]
         self._moments = np.empty((grid.local_cells, 3**grid.dim))
         self._leaving = np.empty(max(1024, particles.count // 16), dtype=np.int64)
         self.peak = 0.0
@@ -260,9 +260,11 @@ class Sweep:
         return np.flatnonzero(self.grid.owner_of(self.particles.coordinate) != self.grid.rank)
 
     def _clear(self, weigh: bool) -> None:
-        self.sums.fill(0.0)
         if weigh:
+            self.sums.fill(0.0)
             self._moments.fill(0.0)
+        else:
+            self.sums[:, :-1] = 0.0
 
     def _deposit(self, start: int, stop: int, weigh: bool) -> None:
         particles = self.particles
@@ -275,9 +277,12 @@ class Sweep:
     def _finish_sums(self, weigh: bool) -> None:
         if weigh and self.grid.dim == 3:
             self._kernels.row_sums(self._moments, *self._cells, self.sums, self.sums.shape[1] - 1)
-        self.complete(self.sums)
         if weigh:
-            self.weights[:] = self.sums[:, -1]
+            self.complete(self.sums)
+        else:
+            # the row sums are complete already, on ghosts too: summing the halo again would count them twice
+            state = np.ascontiguousarray(self.sums[:, :-1])
+            self.sums[:, :-1] = self.complete(state)
 
     # ------------------------------------------------------------ order in memory
 

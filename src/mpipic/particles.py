@@ -24,8 +24,8 @@ class Particles:
     ----------
     h : d floats
         Spacing of the grid, unit of length; its number of entries is the dimension.
-    fields : mapping from name to number of components
-        For example {"density": 1, "velocity": 2}; columns of the state in this order.
+    fields : mapping from name to number of components, 0 for a scalar
+        For example {"density": 0, "velocity": 2}; columns of the state in this order.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class Particles:
     ids : (n,) int64
         Global id, never changed.
     fields : dict of views into `state`
-        (n,) for a field of one component, else (n, components).
+        (n,) for a scalar, else (n, components).
 
     Notes
     -----
@@ -50,35 +50,40 @@ class Particles:
         self.components = dict(fields)
         self.count = 0
         self._coordinate = np.empty((0, self.dim))
-        self._state = np.empty((0, sum(fields.values())))
+        self._state = np.empty((0, sum(max(1, k) for k in fields.values())))
         self._ids = np.empty((0, 1), dtype=np.int64)
 
     @property
     def coordinate(self) -> FloatArray:
+        """Coordinates in cells, (n, d), a view."""
         return self._coordinate[: self.count]
 
     @property
     def position(self) -> FloatArray:
+        """Positions in units of length, (n, d), a copy."""
         return self.coordinate * np.array(self.h)
 
     @property
     def state(self) -> FloatArray:
+        """All fields side by side, (n, k), a view."""
         return self._state[: self.count]
 
     @property
     def ids(self) -> IntArray:
+        """Global ids, (n,), a view."""
         return self._ids[: self.count, 0]
 
     @property
     def fields(self) -> dict[str, FloatArray]:
+        """Name to view of the state: (n,) or (n, components)."""
         return {name: self.state[:, columns] for name, columns in self._columns().items()}
 
     def _columns(self) -> dict[str, int | slice]:
         columns: dict[str, int | slice] = {}
         first = 0
         for name, components in self.components.items():
-            columns[name] = first if components == 1 else slice(first, first + components)
-            first += components
+            columns[name] = slice(first, first + components) if components else first
+            first += max(1, components)
         return columns
 
     def field(self, name: str) -> FloatArray:
@@ -87,6 +92,7 @@ class Particles:
 
     @property
     def bytes_per_particle(self) -> int:
+        """Bytes of one particle's row in all columns."""
         return sum(8 * a.shape[1] for a in (self._coordinate, self._state, self._ids))
 
     def append(self, coordinate: FloatArray, state: FloatArray, ids: IntArray) -> None:

@@ -1,0 +1,38 @@
+"""Distributed particle-in-cell solver with null-space filters.
+
+The library's door, for the particles of other codes: a `Grid`, a `Placement` that brings particles to the ranks that
+own their cells, a `Mapping` at their positions, and a filter. Names are imported when first used, so that looking at a
+scene does not start MPI.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mpipic.filters import FILTERS, LocalFilter
+    from mpipic.grid import Grid
+    from mpipic.mapping import Mapping
+    from mpipic.migration import Placement
+    from mpipic.scene import Scene, SceneError
+    from mpipic.simulation import Simulation
+
+__version__ = "0.1.0"
+
+_HOMES = {
+    "FILTERS": "filters",
+    "LocalFilter": "filters",
+    "Grid": "grid",
+    "Mapping": "mapping",
+    "Placement": "migration",
+    "Scene": "scene",
+    "SceneError": "scene",
+    "Simulation": "simulation",
+}
+
+__all__ = ["FILTERS", "Grid", "LocalFilter", "Mapping", "Placement", "Scene", "SceneError", "Simulation"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'mpipic' has no attribute {name!r}")
+    return getattr(import_module(f"mpipic.{_HOMES[name]}"), name)

@@ -1,0 +1,88 @@
+"""What a scene builds and what it leaves out, in words and in bytes, without building it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mpipic.scene import Scene, process_grid
+
+MEGA = 1e6
+
+
+def particle_bytes(dim: int) -> int:
+    """Resident bytes per particle: coordinate, density, velocity, id."""
+    return 8 * (dim + 1 + dim + 1)
+
+
+def node_bytes(scene: Scene) -> int:
+    """Resident bytes per node: sums, row sums, pair moments of the cell, and the work arrays of the step."""
+    dim = scene.dim
+    filtered = scene.filter.kind != "none"
+    work = (1 + dim) + 1 + (dim if filtered else 0)
+    return 8 * ((dim + 2) + 3**dim + work)
+
+
+def rank_bytes(scene: Scene, ranks: int, particles: int) -> float:
+    """Resident bytes of arrays on one of `ranks` equal ranks, without halos and interpreter (about 150 MB)."""
+    return (particles * particle_bytes(scene.dim) + scene.cell_count * node_bytes(scene)) / ranks
+
+
+def parts(scene: Scene) -> tuple[list[tuple[str, str]], list[str]]:
+    """What the scene builds, (part, description), and what it leaves out."""
+    moving = any(scene.gas.flow)
+    filtered = scene.filter.kind != "none"
+    step = "Formulation 2 (symplectic Euler), one pass over the particles a step"
+    built = [
+        ("grid", f"{scene.dim}D, {' x '.join(map(str, scene.grid.cells))} cells, periodic"),
+        ("particles", _particles(scene)),
+        ("mapping", f"{scene.mapping.basis} basis, {scene.mapping.mass} mass, "
+         + ("updated every step" if moving else "built once: the flow is 0")),
+        ("filter", f"{scene.filter.kind}: neighbours only" if filtered else "none"),
+        ("step", step),
+        ("initial", _initial(scene)),
+    ]  # fmt: skip
+    left_out = ["SLEPc", "linear solvers", "assembled matrices"]
+    left_out += [] if filtered else ["filter"]
+    left_out += [] if moving else ["migration"]
+    left_out += [] if scene.output.every else ["snapshots"]
+    left_out += [] if scene.output.every or scene.particles.layout == "file" else ["h5py"]
+    left_out += ["y and z" if scene.dim == 1 else "z"] if scene.dim < 3 else []
+    left_out += ["exact solution and errors"] if scene.initial.profile == "file" else []
+    return built, left_out
+
+
+def describe(scene: Scene, comm: Any) -> list[tuple[str, str]]:
+    """What `mpipic check` prints, as (name, value) lines. Local."""
+    built, left_out = parts(scene)
+    lines = [("scene", scene.name), *built, ("steps", f"{scene.time.steps} of dt = {scene.dt:.6g}, CFL {scene.cfl:.4g}")]
+    blocks = " x ".join(map(str, process_grid(scene.grid.cells, comm.size) or ()))
+    lines += [("ranks", f"{comm.size}, as {blocks} blocks"), ("left out", ", ".join(left_out))]
+    count = scene.particle_count
+    each = f"{particle_bytes(scene.dim)} bytes a particle, {node_bytes(scene)} bytes a node"
+    if count is None:
+        return [*lines, ("memory", each)]
+    total = rank_bytes(scene, comm.size, count)
+    return [
+        *lines,
+        ("memory", f"{each}: {total * comm.size / count:.0f} bytes a particle in all"),
+        ("per rank", f"{total / MEGA:.1f} MB of arrays, and about 150 MB of libraries"),
+    ]
+
+
+def _particles(scene: Scene) -> str:
+    layout, count = scene.particles, scene.particle_count
+    if layout.layout == "file":
+        return f"from {layout.path}"
+    per_cell = " x ".join(map(str, layout.per_cell)) + (" on average" if layout.layout == "random" else "")
+    jitter = f", moved by up to {layout.jitter:g} spacings" if layout.layout == "jittered" else ""
+    return f"{count:,} on a {layout.layout} layout{jitter}, {per_cell} per cell"
+
+
+def _initial(scene: Scene) -> str:
+    initial = scene.initial
+    if initial.profile == "file":
+        return f"from {scene.particles.path}"
+    if initial.profile == "gaussian":
+        return f"gaussian at {list(initial.center)}, sharpness {initial.sharpness:g}"
+    about = f", sharpness {initial.sharpness:g}" if initial.profile == "plane-gaussian" else ""
+    return f"{initial.profile}, periods {list(initial.wave)}{about}"

@@ -1,0 +1,147 @@
+"""The command line: `mpipic VERB`, the same under mpiexec. Rank 0 speaks; all ranks leave with the same code.
+
+Exit codes: 0 done, 2 bad input, 3 unstable, 130 interrupted, 1 anything unexpected.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from mpipic.runtime import one_thread_per_rank, start
+
+one_thread_per_rank()
+
+import typer  # noqa: E402  threads must be settled before anything imports NumPy
+
+if TYPE_CHECKING:
+    from mpipic.scene import Scene
+
+app = typer.Typer(
+    help="Distributed particle-in-cell solver with null-space filters.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+SceneFile = Annotated[
+    Path | None, typer.Argument(help="Scene file (TOML); without one, the defaults: the paper's scene.")
+]
+Overrides = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a key, for example filter.kind=none.")
+]
+
+BAD_INPUT = 2
+
+
+def _load(path: Path | None, overrides: list[str] | None, comm: Any) -> Scene:
+    """Read the scene on rank 0 and give it, or the refusal, to all."""
+    from mpipic.scene import Scene, SceneError
+
+    scene: Scene | SceneError | None = None
+    if comm.rank == 0:
+        try:
+            scene = Scene.load(path, overrides or ())
+            scene.check_ranks(comm.size)
+        except SceneError as error:
+            scene = error
+    scene = comm.bcast(scene)
+    if isinstance(scene, SceneError):
+        raise scene
+    assert scene is not None
+    return scene
+
+
+def _refuse(text: str, comm: Any) -> typer.Exit:
+    from mpipic.console import Console
+
+    console = Console(comm)
+    for line in text.splitlines():
+        console.fail(line)
+    return typer.Exit(BAD_INPUT)
+
+
+@app.command()
+def run(
+    scene: SceneFile = None,
+    set_: Overrides = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Run directory; default runs/<scene name>-<time>.")
+    ] = None,
+    overwrite: Annotated[bool, typer.Option(help="Replace the results of an earlier run in --output.")] = False,
+    plots: Annotated[bool, typer.Option(help="Draw error.png and solution.png at the end.")] = True,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print warnings and errors only.")] = False,
+) -> None:
+    """Run a scene: errors, times and pictures go to a run directory."""
+    comm = start()
+    from mpipic.scene import SceneError
+
+    try:
+        loaded = _load(scene, set_, comm)
+        from mpipic import runner
+        from mpipic.console import Console
+        from mpipic.output import OutputError
+
+        try:
+            code = runner.run(loaded, comm, output, overwrite, Console(comm, quiet), plots)
+        except OutputError as error:
+            raise _refuse(str(error), comm) from None
+    except SceneError as error:
+        raise _refuse(str(error), comm) from None
+    raise typer.Exit(code)
+
+
+@app.command()
+def check(scene: SceneFile = None, set_: Overrides = None) -> None:
+    """Say what a scene builds, what it leaves out, and the memory it takes, without running it."""
+    comm = start()
+    from mpipic.scene import SceneError
+
+    try:
+        loaded = _load(scene, set_, comm)
+        from mpipic import advice
+        from mpipic.console import Console
+        from mpipic.simulation import solution_of
+
+        solution_of(loaded)
+        Console(comm).banner(advice.describe(loaded, comm))
+    except SceneError as error:
+        raise _refuse(str(error), comm) from None
+
+
+@app.command()
+def bench(
+    dim: Annotated[list[int] | None, typer.Option(help="Dimension to time; repeat for several. Default: 1 2 3.")] = None,
+    particles: Annotated[float, typer.Option(help="Particles, about.")] = 1e7,
+    per_cell: Annotated[int, typer.Option(help="Particles per cell, about.")] = 4,
+    kind: Annotated[list[str] | None, typer.Option("--filter", help="Filter to time; repeat. Default: local.")] = None,
+    layout: Annotated[str, typer.Option(help="lattice, jittered or random.")] = "jittered",
+    steps: Annotated[int, typer.Option(help="Steps per sample.")] = 5,
+    repeats: Annotated[int, typer.Option(help="Samples; the median counts.")] = 5,
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="Write the numbers as JSON too.")] = None,
+) -> None:
+    """Time steps against the memory bandwidth of this machine, measured in the same run."""
+    comm = start()
+    from mpipic import bench as benchmark
+    from mpipic.console import Console
+    from mpipic.scene import SceneError
+
+    try:
+        plan = benchmark.Plan(
+            tuple(dim or (1, 2, 3)), int(particles), per_cell, tuple(kind or ("local",)), layout, steps, repeats
+        )
+        benchmark.run(plan, comm, Console(comm), output)
+    except SceneError as error:
+        raise _refuse(str(error), comm) from None
+
+
+def main() -> None:
+    """Entry point of `mpipic` and `python -m mpipic`."""
+    # argparse-like errors of typer appear once, not once a rank
+    import os
+
+    rank = next((os.environ[name] for name in ("OMPI_COMM_WORLD_RANK", "PMI_RANK") if name in os.environ), "0")
+    if rank != "0":
+        sys.stderr.flush()
+    app()

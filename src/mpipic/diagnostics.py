@@ -1,0 +1,78 @@
+"""Numbers about a state: error norms against an exact solution. Collective; every rank gets the answer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from mpipic.grid import FloatArray
+from mpipic.particles import Particles
+
+Exact = Callable[[FloatArray, float], tuple[FloatArray, FloatArray]]
+
+
+@dataclass(frozen=True)
+class Norms:
+    """Mean, root mean square and largest of |e| over all particles."""
+
+    l1: float
+    l2: float
+    linf: float
+
+
+@dataclass(frozen=True)
+class ErrorReport:
+    """Errors of density and velocity at one step; the null-space share is None where no exact projection is at hand."""
+
+    step: int
+    time: float
+    density: Norms
+    velocity: Norms
+    null_space_fraction: float | None = None
+
+    def row(self) -> dict[str, Any]:
+        """The report as flat columns: density_l1 to velocity_linf, null_space_fraction."""
+        columns = {
+            f"{name}_{norm}": getattr(getattr(self, name), norm)
+            for name in ("density", "velocity")
+            for norm in ("l1", "l2", "linf")
+        }
+        return {**columns, "null_space_fraction": self.null_space_fraction}
+
+
+def norms(error: FloatArray, total: int, comm: MPI.Comm) -> Norms:
+    """Norms of errors (n,), or of the Euclidean lengths of error vectors (n, d), over `total` particles on all ranks.
+
+    Sizes are taken relative to the largest, so that neither tiny nor huge errors under- or overflow when squared.
+    NaN or infinity anywhere gives NaN or infinity. Collective; two reductions.
+    """
+    size = np.abs(error)
+    if error.ndim == 2:
+        longest = size.max(axis=1, initial=0.0)
+        scale = np.where(longest > 0, longest, 1.0)
+        size = longest * np.sqrt(np.sum((size / scale[:, None]) ** 2, axis=1))
+    # a NaN does not survive every MPI's MAX: it is sent as infinity, and comes back out of the sums
+    largest = comm.allreduce(float(np.nan_to_num(size, nan=np.inf).max(initial=0.0)), op=MPI.MAX)
+    if largest == 0.0 or not np.isfinite(largest):
+        return Norms(largest, largest, largest)
+    relative = size / largest
+    sums = np.array([relative.sum(), np.square(relative).sum()])
+    comm.Allreduce(MPI.IN_PLACE, sums)
+    return Norms(largest * sums[0] / total, largest * float(np.sqrt(sums[1] / total)), largest)
+
+
+def measure(
+    particles: Particles, exact: Exact, step: int, time: float, total: int, comm: MPI.Comm
+) -> ErrorReport:
+    """Errors of the fields density and velocity at `time`. Collective; evaluates the exact solution on own particles."""
+    density, velocity = exact(particles.position, time)
+    return ErrorReport(
+        step,
+        time,
+        norms(particles.field("density") - density, total, comm),
+        norms(particles.field("velocity") - velocity, total, comm),
+    )

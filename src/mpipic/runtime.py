@@ -1,0 +1,87 @@
+"""How a process lives among the ranks: one thread each, no rank left hanging, an orderly end when asked to stop."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import traceback
+from types import FrameType, TracebackType
+from typing import Any
+
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+ANNOUNCED = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "MV2_COMM_WORLD_SIZE")
+STOP_SIGNALS = ("SIGINT", "SIGTERM", "SIGUSR1")
+
+
+def one_thread_per_rank() -> None:
+    """Unless told otherwise, keep libraries from starting threads of their own. Call before NumPy is imported."""
+    for name in THREADS:
+        os.environ.setdefault(name, "1")
+    # Debian's h5py otherwise loads its serial build, also where it is asked for parallel files
+    os.environ.setdefault("H5PY_ALWAYS_USE_MPI", "1")
+
+
+def start() -> Any:
+    """COMM_WORLD, after checking that it is what the launcher started. Every later exception ends all ranks.
+
+    Raises RuntimeError if the launcher announces more processes than MPI sees: the launcher of one MPI with the
+    library of another silently runs N copies of a serial program.
+    """
+    from mpi4py import MPI
+
+    comm = MPI.COMM_WORLD
+    for name in ANNOUNCED:
+        announced = os.environ.get(name, "")
+        if announced.isdigit() and int(announced) != comm.size:
+            library = MPI.Get_library_version().splitlines()[0].strip("\0 ")
+            raise RuntimeError(
+                f"the launcher started {announced} processes ({name}), but MPI sees {comm.size}: "
+                f"this mpiexec does not belong to the MPI that mpi4py uses ({library})"
+            )
+    if comm.size > 1:
+        sys.excepthook = _abort_all
+    return comm
+
+
+def _abort_all(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """Without this the other ranks would wait for ever in their next message."""
+    from mpi4py import MPI
+
+    lines = "".join(traceback.format_exception(kind, error, trace))
+    sys.stderr.write(f"rank {MPI.COMM_WORLD.rank} of {MPI.COMM_WORLD.size} failed; ending all ranks\n{lines}")
+    sys.stdout.flush()
+    sys.stderr.flush()
+    MPI.COMM_WORLD.Abort(1)
+
+
+class StopRequest:
+    """True once Ctrl-C, SIGTERM or SIGUSR1 has come. A second Ctrl-C acts as if there were none of this.
+
+    A launcher may follow one signal by another, so only Ctrl-C counts as impatience. SIGUSR1 is what mpiexec passes on
+    to its ranks without setting out to end them.
+    """
+
+    def __init__(self) -> None:
+        self._stop = False
+        self._interrupts = 0
+        self._before = {number: signal.signal(number, self._ask) for number in map(_number, STOP_SIGNALS)}
+
+    def __call__(self) -> bool:
+        return self._stop
+
+    def _ask(self, number: int, frame: FrameType | None) -> None:
+        self._stop = True
+        self._interrupts += number == signal.SIGINT
+        if self._interrupts > 1:
+            self.release()
+            raise KeyboardInterrupt
+
+    def release(self) -> None:
+        """Give the signals back to whoever had them."""
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+
+def _number(name: str) -> signal.Signals:
+    return signal.Signals[name]
