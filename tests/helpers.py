@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+Finished = subprocess.CompletedProcess[str]
 TESTS = Path(__file__).parent
 
 
@@ -48,7 +49,7 @@ def start_ranks(ranks: int, *args: str | Path, cwd: Path | None = None) -> subpr
     )  # fmt: skip
 
 
-def run_python(ranks: int, *args: str | Path, timeout: float = 120, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+def run_python(ranks: int, *args: str | Path, timeout: float = 120, cwd: Path | None = None) -> Finished:
     """Run python with `args` on that many ranks; ended, and the test failed, after `timeout` seconds."""
     process = start_ranks(ranks, *args, cwd=cwd)
     try:
@@ -60,12 +61,12 @@ def run_python(ranks: int, *args: str | Path, timeout: float = 120, cwd: Path | 
     return subprocess.CompletedProcess(process.args, process.returncode, out, err)
 
 
-def run_ranks(ranks: int, script: Path, *args: str, timeout: float = 120) -> subprocess.CompletedProcess[str]:
+def run_ranks(ranks: int, script: Path, *args: str, timeout: float = 120) -> Finished:
     """Run a script on that many ranks."""
     return run_python(ranks, script, *args, timeout=timeout)
 
 
-def mpipic(*args: str | Path, ranks: int = 1, timeout: float = 120, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+def mpipic(*args: str | Path, ranks: int = 1, timeout: float = 120, cwd: Path | None = None) -> Finished:
     """Run the command line `mpipic args`; on one rank without mpiexec."""
     if ranks > 1:
         return run_python(ranks, "-m", "mpipic", *args, timeout=timeout, cwd=cwd)

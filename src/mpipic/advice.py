@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from mpipic.scene import Scene, process_grid
+from mpipic.decomposition import process_grid
+from mpipic.scene import Scene
 
 MEGA = 1e6
 
@@ -54,7 +55,8 @@ def parts(scene: Scene) -> tuple[list[tuple[str, str]], list[str]]:
 def describe(scene: Scene, comm: Any) -> list[tuple[str, str]]:
     """What `mpipic check` prints, as (name, value) lines. Local."""
     built, left_out = parts(scene)
-    lines = [("scene", scene.name), *built, ("steps", f"{scene.time.steps} of dt = {scene.dt:.6g}, CFL {scene.cfl:.4g}")]
+    steps = f"{scene.time.steps} of dt = {scene.dt:.6g}, CFL {scene.cfl:.4g}"
+    lines = [("scene", scene.name), *built, ("steps", steps)]
     blocks = " x ".join(map(str, process_grid(scene.grid.cells, comm.size) or ()))
     lines += [("ranks", f"{comm.size}, as {blocks} blocks"), ("left out", ", ".join(left_out))]
     count = scene.particle_count

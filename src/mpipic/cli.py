@@ -5,6 +5,7 @@ Exit codes: 0 done, 2 bad input, 3 unstable, 130 interrupted, 1 anything unexpec
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -112,10 +113,10 @@ def check(scene: SceneFile = None, set_: Overrides = None) -> None:
 
 @app.command()
 def bench(
-    dim: Annotated[list[int] | None, typer.Option(help="Dimension to time; repeat for several. Default: 1 2 3.")] = None,
+    dim: Annotated[list[int] | None, typer.Option(help="Dimension to time; repeatable. Default: 1 2 3.")] = None,
     particles: Annotated[float, typer.Option(help="Particles, about.")] = 1e7,
     per_cell: Annotated[int, typer.Option(help="Particles per cell, about.")] = 4,
-    kind: Annotated[list[str] | None, typer.Option("--filter", help="Filter to time; repeat. Default: local.")] = None,
+    kind: Annotated[list[str] | None, typer.Option("--filter", help="Repeatable. Default: local.")] = None,
     layout: Annotated[str, typer.Option(help="lattice, jittered or random.")] = "jittered",
     steps: Annotated[int, typer.Option(help="Steps per sample.")] = 5,
     repeats: Annotated[int, typer.Option(help="Samples; the median counts.")] = 5,
@@ -137,11 +138,16 @@ def bench(
 
 
 def main() -> None:
-    """Entry point of `mpipic` and `python -m mpipic`."""
-    # argparse-like errors of typer appear once, not once a rank
-    import os
-
+    """Entry point of `mpipic` and `python -m mpipic`. Help and usage errors appear once, not once a rank."""
     rank = next((os.environ[name] for name in ("OMPI_COMM_WORLD_RANK", "PMI_RANK") if name in os.environ), "0")
     if rank != "0":
-        sys.stderr.flush()
-    app()
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115  for the life of the process
+    try:
+        code = app(standalone_mode=False)
+    except Exception as error:
+        if not hasattr(error, "exit_code"):
+            raise
+        if rank == "0" and hasattr(error, "show"):
+            error.show()
+        code = error.exit_code
+    sys.exit(code)

@@ -147,7 +147,7 @@ class Console:
             rows.append((str(report.step), f"{report.time:.6g}", "density", *_norms(report.density), _number(share)))
             rows.append(("", "", "velocity", *_norms(report.velocity), ""))
         if rows:
-            self._table("errors", ("step", "time", "of", "l1", "l2", "linf", "null-space share"), rows)
+            self.table("errors", ("step", "time", "of", "l1", "l2", "linf", "null-space share"), rows)
 
     def phase_table(self, seconds: Mapping[str, float], total: float) -> None:
         """Print the seconds of each phase, longest first, their share of `total`, and what no phase accounts for."""
@@ -155,7 +155,7 @@ class Console:
         rest = total - sum(seconds.values())
         phases += [("other", rest)] if rest > 0.0005 * total else []
         rows = [(name, f"{spent:.3f}", _share(spent, total)) for name, spent in [*phases, ("total", total)]]
-        self._table("time", ("phase", "seconds", "share"), rows)
+        self.table("time", ("phase", "seconds", "share"), rows)
 
     def message(self, text: str) -> None:
         """Print a line."""
@@ -172,7 +172,8 @@ class Console:
         if self._err is not None:
             _plain(self._err, f"error: {text}", "bold red")
 
-    def _table(self, title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    def table(self, title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+        """Print a table of text cells; numbers to the right, words to the left."""
         if not self._speaks:
             return
         from rich.box import SIMPLE_HEAD
@@ -180,7 +181,7 @@ class Console:
         from rich.text import Text
 
         table = Table(title=title, box=SIMPLE_HEAD, title_justify="left", pad_edge=False)
-        words = {"of", "phase"}
+        words = {"of", "phase", "phases", "filter"}
         for name in header:
             table.add_column(name, justify="left" if name in words else "right", no_wrap=True)
         for row in rows:
@@ -218,7 +219,8 @@ def _rich_console(file: Any, stderr: bool) -> Any:
 
     console = Rich(file=file, stderr=stderr, highlight=False)
     if not console.is_terminal or (file is None and _launcher_writes_elsewhere(stderr)):
-        console = Rich(file=file, stderr=stderr, highlight=False, width=LOG_WIDTH, color_system=None, force_terminal=False)
+        plain = {"width": LOG_WIDTH, "color_system": None, "force_terminal": False}
+        console = Rich(file=file, stderr=stderr, highlight=False, **plain)
     return console
 
 

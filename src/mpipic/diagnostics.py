@@ -68,7 +68,7 @@ def norms(error: FloatArray, total: int, comm: MPI.Comm) -> Norms:
 def measure(
     particles: Particles, exact: Exact, step: int, time: float, total: int, comm: MPI.Comm
 ) -> ErrorReport:
-    """Errors of the fields density and velocity at `time`. Collective; evaluates the exact solution on own particles."""
+    """Errors of the fields density and velocity at `time`. Collective; the exact solution is evaluated locally."""
     density, velocity = exact(particles.position, time)
     return ErrorReport(
         step,

@@ -56,7 +56,7 @@ class Filter(ABC):
         Collective; needs a `Mapping`. One pass to the nodes, one back, and what `coefficients` costs.
         """
         if not isinstance(self.mapping, Mapping):
-            raise TypeError(f"apply needs a Mapping, which maps any particle values, not a {type(self.mapping).__name__}")
+            raise TypeError(f"apply needs a Mapping, which maps any values, not a {type(self.mapping).__name__}")
         return self.mapping.g2p(self.coefficients(self.mapping.sums(q)))
 
     __call__ = apply
@@ -65,8 +65,8 @@ class Filter(ABC):
 class LocalFilter(Filter):
     """F = Φ S: map to the nodes and back.
 
-    SΦ has its eigenvalues in [0, 1], so what the nodes see is smoothed as well: F is no projection. Σ_p (F q)_p = Σ_p q_p.
-    Neighbour communication only: one halo exchange to sum, one to fill.
+    SΦ has its eigenvalues in [0, 1], so what the nodes see is smoothed as well: F is no projection. It keeps the sum,
+    Σ_p (F q)_p = Σ_p q_p. Neighbour communication only: one halo exchange to sum, one to fill.
 
     References
     ----------

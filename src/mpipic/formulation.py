@@ -69,6 +69,11 @@ class SymplecticEuler:
         self.nodal = sweep.grid.zeros(1 + sweep.grid.dim)
         self._scalar, self._vector = sweep.grid.zeros(1), sweep.grid.zeros(sweep.grid.dim)
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the nodal work arrays."""
+        return self.nodal.nbytes + self._scalar.nbytes + self._vector.nbytes
+
     def step(self) -> None:
         """One time step; u is used at t, ρ at t + dt."""
         sweep, rates = self.sweep, self.rates
@@ -99,6 +104,11 @@ class UnfilteredEuler:
         self.sweep, self.rates = sweep, rates
         self.nodal = sweep.grid.zeros(1 + sweep.grid.dim)
         self._scalar = sweep.grid.zeros(1)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the nodal work arrays."""
+        return self.nodal.nbytes + self._scalar.nbytes
 
     def step(self) -> None:
         """One time step; u is used at t, ρ at t + dt."""

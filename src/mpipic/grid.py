@@ -21,7 +21,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from mpipic.scene import process_grid
+from mpipic.decomposition import process_grid
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -153,7 +153,8 @@ class Sweep:
     Notes
     -----
     Building and `advance` are collective on neighbours; the other verbs are local on nodal arrays whose ghosts are
-    filled, and leave sums whose ghosts are not: end them with `complete`. Cost: `advance` O(particles), others O(cells).
+    filled, and leave sums whose ghosts are not: end them with `complete`. `advance` costs O(particles), the others
+    O(cells).
     Memory per rank: nodal arrays, 3^d numbers a cell.
     """
 
@@ -218,6 +219,11 @@ class Sweep:
         self.grid.fill_halo(sums)
         self._phase("nodes")
         return sums
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the nodal sums, the pair moments and the list of leavers."""
+        return self.sums.nbytes + self._moments.nbytes + self._leaving.nbytes
 
     # ------------------------------------------------------------ on particles
 
@@ -290,7 +296,7 @@ class Sweep:
         self._phase("sort")
         self.particles.sort_by_cell(self.grid)
         self.sorts += 1
-        self._excess, self._fewest_breaks = 0, None
+        self._excess, self._fewest_breaks = 0, -1
 
     def _sort_when_due(self, breaks: int) -> None:
         """Sort once disorder has cost as much as sorting does.
@@ -298,7 +304,7 @@ class Sweep:
         Disorder is counted in breaks, particles in another cell than their predecessor: each costs about a tenth of
         what sorting costs a particle. A count, not a clock, decides, so that runs repeat to the bit.
         """
-        if self._fewest_breaks is None:
+        if self._fewest_breaks < 0:
             self._fewest_breaks = breaks
         self._excess += max(0, breaks - self._fewest_breaks)
         if self._excess > 12 * self.particles.count:

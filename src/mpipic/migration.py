@@ -58,7 +58,7 @@ class Routes:
             self.sources = _ranks_met(grid, displacement, -1)
         self._slot = np.full(grid.size, -1)
         self._slot[self.destinations] = np.arange(len(self.destinations))
-        self.comm = grid.comm.Create_dist_graph_adjacent(self.sources, self.destinations)
+        self.comm = MPI.Intracomm(grid.comm).Create_dist_graph_adjacent(self.sources, self.destinations)
 
     def exchange(self, rows: FloatArray, owner: IntArray) -> Delivery:
         """Send each row (n, k) to the rank that `owner` (n,) names.

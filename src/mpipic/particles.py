@@ -95,6 +95,11 @@ class Particles:
         """Bytes of one particle's row in all columns."""
         return sum(8 * a.shape[1] for a in (self._coordinate, self._state, self._ids))
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all columns, with the room kept for arrivals."""
+        return sum(array.nbytes for array in (self._coordinate, self._state, self._ids))
+
     def append(self, coordinate: FloatArray, state: FloatArray, ids: IntArray) -> None:
         """Add particles after the present ones. Shapes (j, d), (j, k), (j,). Local; O(j), now and then O(n)."""
         added = len(ids)

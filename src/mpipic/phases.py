@@ -13,6 +13,7 @@ class Phases:
         self._name, self._since = "other", perf_counter()
 
     def __call__(self, name: str) -> None:
+        """End the present phase and begin this one."""
         now = perf_counter()
         self.seconds[self._name] = self.seconds.get(self._name, 0.0) + now - self._since
         self._name, self._since = name, now

@@ -68,6 +68,7 @@ class StopRequest:
         self._before = {number: signal.signal(number, self._ask) for number in map(_number, STOP_SIGNALS)}
 
     def __call__(self) -> bool:
+        """Whether to stop."""
         return self._stop
 
     def _ask(self, number: int, frame: FrameType | None) -> None:

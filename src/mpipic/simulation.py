@@ -125,6 +125,10 @@ class Simulation:
         """Time reached: step times dt, not a running sum."""
         return self.step * self.scene.dt
 
+    def resident_bytes(self) -> int:
+        """Bytes of this rank's arrays of particles and nodes that live as long as the run. Local."""
+        return self.particles.nbytes + self.sweep.nbytes + self.formulation.nbytes
+
     def nodal_means(self) -> dict[str, FloatArray]:
         """Means S ρ_p and S u_p at own nodes, arrays (x, y, z) or (x, y, z, d): what the grid sees. Local."""
         density, velocity = (self.sweep.divide(sums) for sums in self.sweep.state_sums)
@@ -170,7 +174,8 @@ class Simulation:
         try:
             data = read_particle_file(scene.particles.path, grid.dim, grid.length, self.comm)
         except ParticleFileError as error:
-            raise SceneError([Problem("particles.path", scene.particles.path, text) for text in error.problems]) from None
+            path = scene.particles.path
+            raise SceneError([Problem("particles.path", path, text) for text in error.problems]) from None
         state = np.zeros((len(data["ids"]), 1 + grid.dim))
         if scene.initial.profile == "file":
             state[:, 0] = data.get("density", 0.0)

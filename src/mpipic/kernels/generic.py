@@ -1,7 +1,7 @@
 """Loops that serve any number of columns and any dimension: mapping of single fields, sorting, packing.
 
-Coordinates are (n, d), in cells, values (n, k), nodal arrays (nodes, k), all C-contiguous. `locate` finds the cell of every
-particle once; the mapping loops then use its answer.
+Coordinates are (n, d), in cells, values (n, k), nodal arrays (nodes, k), all C-contiguous. `locate` finds the cell of
+every particle once; the mapping loops then use its answer.
 """
 
 import numpy as np
