@@ -219,7 +219,7 @@ def _rich_console(file: Any, stderr: bool) -> Any:
 
     console = Rich(file=file, stderr=stderr, highlight=False)
     if not console.is_terminal or (file is None and _launcher_writes_elsewhere(stderr)):
-        plain = {"width": LOG_WIDTH, "color_system": None, "force_terminal": False}
+        plain: dict[str, Any] = {"width": LOG_WIDTH, "color_system": None, "force_terminal": False}
         console = Rich(file=file, stderr=stderr, highlight=False, **plain)
     return console
 

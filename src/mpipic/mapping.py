@@ -246,8 +246,8 @@ class Sweep:
         self._phase("particles")
         self._clear(weigh)
         self.peak, breaks, left = self._kernels.advance(
-            particles.coordinate, particles.state, nodal, rates, self.sums, self._moments,
-            0, particles.count, self._geometry, *self._cells, direct, weigh, self._leaving,
+            particles.axes, particles.state, nodal, rates, self.sums, self._moments, 0, particles.count,
+            self._geometry, *self._cells, direct, weigh, self.routes is not None, self._leaving,
         )  # fmt: skip
         if self.routes is not None:
             self._phase("migrate")
@@ -275,7 +275,7 @@ class Sweep:
     def _deposit(self, start: int, stop: int, weigh: bool) -> None:
         particles = self.particles
         peak = self._kernels.deposit(
-            particles.coordinate, particles.state, self.sums, self._moments,
+            particles.axes, particles.state, self.sums, self._moments,
             start, stop, self._geometry, *self._cells, weigh,
         )  # fmt: skip
         self.peak = float(np.maximum(self.peak, peak))

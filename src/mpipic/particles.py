@@ -49,14 +49,19 @@ class Particles:
         self.dim = len(self.h)
         self.components = dict(fields)
         self.count = 0
-        self._coordinate = np.empty((0, self.dim))
+        self._axes = np.empty((self.dim, 0))
         self._state = np.empty((0, sum(max(1, k) for k in fields.values())))
         self._ids = np.empty((0, 1), dtype=np.int64)
 
     @property
     def coordinate(self) -> FloatArray:
         """Coordinates in cells, (n, d), a view."""
-        return self._coordinate[: self.count]
+        return self._axes[:, : self.count].T
+
+    @property
+    def axes(self) -> FloatArray:
+        """Coordinates in cells with one row per axis, (d, room): the memory behind `coordinate`, C-contiguous."""
+        return self._axes
 
     @property
     def position(self) -> FloatArray:
@@ -93,30 +98,30 @@ class Particles:
     @property
     def bytes_per_particle(self) -> int:
         """Bytes of one particle's row in all columns."""
-        return sum(8 * a.shape[1] for a in (self._coordinate, self._state, self._ids))
+        return 8 * (self.dim + self._state.shape[1] + 1)
 
     @property
     def nbytes(self) -> int:
         """Bytes of all columns, with the room kept for arrivals."""
-        return sum(array.nbytes for array in (self._coordinate, self._state, self._ids))
+        return sum(array.nbytes for array in (self._axes, self._state, self._ids))
 
     def append(self, coordinate: FloatArray, state: FloatArray, ids: IntArray) -> None:
         """Add particles after the present ones. Shapes (j, d), (j, k), (j,). Local; O(j), now and then O(n)."""
         added = len(ids)
         self._reserve(self.count + added)
         span = slice(self.count, self.count + added)
-        self._coordinate[span], self._state[span], self._ids[span, 0] = coordinate, state, ids
+        self._axes[:, span], self._state[span], self._ids[span, 0] = coordinate.T, state, ids
         self.count += added
 
     def _reserve(self, wanted: int) -> None:
         if wanted <= len(self._ids):
             return
         room = wanted if self.count == 0 else wanted + wanted // 8
-        for name in ("_coordinate", "_state", "_ids"):
-            old = getattr(self, name)
-            new = np.empty((room, old.shape[1]), dtype=old.dtype)
-            new[: self.count] = old[: self.count]
-            setattr(self, name, new)
+        axes, state, ids = self.coordinate, self.state, self.ids
+        self._axes = np.empty((self.dim, room))
+        self._state = np.empty((room, state.shape[1]))
+        self._ids = np.empty((room, 1), dtype=np.int64)
+        self.coordinate[:], self.state[:], self.ids[:] = axes, state, ids
 
     def take(self, index: IntArray) -> tuple[FloatArray, FloatArray, IntArray]:
         """Remove the particles at these sorted indices and return copies (coordinate, state, ids).
@@ -124,7 +129,7 @@ class Particles:
         Others move into the gaps from the end. Local; O(number removed).
         """
         taken = self.coordinate[index], self.state[index], self.ids[index]
-        for array in (self._coordinate, self._state, self._ids):
+        for array in (*(axis[:, None] for axis in self._axes), self._state, self._ids):
             generic.close_gaps(index, self.count, array)
         self.count -= len(index)
         return taken
@@ -134,7 +139,7 @@ class Particles:
         cell, _ = locate(grid, self.coordinate)
         order = np.empty(self.count, dtype=np.int64)
         generic.sort_order(cell, grid.local_cells, order)
-        for array in (self._coordinate, self._state, self._ids):
+        for array in (*self._axes, self._state, self._ids):
             array[: self.count] = array[order]
 
 

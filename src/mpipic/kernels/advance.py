@@ -1,28 +1,124 @@
 """The sweep over particles that a time step makes, on the linear basis: update, move and map in one pass over memory.
 
-`advance_*d` adds to every particle an increment from its nodes, moves it, and adds it to the sums at the nodes
-of its new place: Φᵀ of the state columns, Φᵀ1 in the last column of `sums`, and the pair moments of its cell
+`advance_*d` adds to every particle an increment from its nodes, moves it, and adds it to the sums at the nodes of its
+new place: Φᵀ of the state columns, Φᵀ1 in the last column of `sums`, and the pair moments of its cell
 (`kernels.cells`). A particle that left this rank's cells is updated and moved, but not summed: its index goes to
 `leaving`, and whoever receives it sums it with `deposit_*d`.
 
+Particles are taken in blocks that fit the first cache. What goes axis by axis (finding cells, moving) is done for a
+block at a time by loops that the compiler turns into vector code over particles; what gathers from nodes and adds to
+them goes particle by particle, with the columns of a particle in one vector.
+
 Arguments
 ---------
-coordinate (n, d), in cells, state (n, 1 + d) : modified. The first column of `state` is the scalar, the others the vector.
-nodal (nodes, 1 + d), rates (two floats) : what to add. The scalar gets rates[0] Φ times column 0, the vector rates[1] Φ
-    times columns 1 to d; or, if `direct` (the scheme without a filter), the scalar gets rates[0] times the divergence of
-    columns 1 to d, the vector rates[1] times the gradient of column 0.
-sums (nodes, d + 2), moments (cells, 3^d) : added to; moments and the last column of sums only if `weigh`.
+axes (d, room) : coordinates in cells, one row per axis; modified.
+state (n, 1 + d) : modified. The first column is the scalar, the others the vector.
+nodal (nodes, 1 + d), rates (two floats) : what to add. The scalar gets rates[0] Φ times column 0, the vector rates[1]
+    Φ times columns 1 to d; or, if `direct` (the scheme without a filter), the scalar gets rates[0] times the divergence
+    of columns 1 to d, the vector rates[1] times the gradient of column 0.
+sums (nodes, d + 2), moments (cells, 3^d) : added to; moments and, in 1D and 2D, the last column of sums only if `weigh`
+    (in 3D that column is `kernels.cells.row_sums_3d`'s).
 start, stop : the range of particles.
 geometry : tuple (inverse_h, tolerance, period, top, shift, first), each a tuple of one entry per axis: cells per unit
     length, and in cells the width of "on a node", the period, the coordinate from which a particle counts as back at
     0, the displacement of this step, and the first cell of this rank.
 shape, layout : as in `kernels.cells`.
+bounded : whether a particle can leave this rank's cells at all.
 
-Returns the largest |scalar| (NaN if any is), how many particles lie in another cell than their predecessor, and how
-many left (which may exceed the length of `leaving`: then the list is incomplete).
+`advance_*d` returns the largest |scalar| (NaN if any is not finite), how many particles lie in another cell than their
+predecessor, and how many left (which may exceed the length of `leaving`: then the list is incomplete); `deposit_*d`
+returns the largest |scalar|.
 """
 
-from mpipic.kernels.common import U, cell_and_fraction, hot, inlined, moved
+import numpy as np
+
+from mpipic.kernels.common import U, cell_and_fraction, exactly, hot, inlined
+
+BLOCK = 256
+
+
+# ---------------------------------------------------------------- axis by axis, any dimension
+
+
+@exactly
+def _place(x, tolerance, first, node_stride, cell_stride, node, cell, fraction):
+    """Add one axis' part to the node and cell indices, and find the local coordinate along it."""
+    for p in range(x.size):
+        c, fraction[p] = cell_and_fraction(x[p], tolerance)
+        node[p] += node_stride * (c - first)
+        cell[p] += cell_stride * (c - first)
+
+
+@exactly
+def _mark_outside(x, tolerance, first, size, outside):
+    """Set `outside` where the cell along this axis is not one of `size` from `first`."""
+    for p in range(x.size):
+        c = np.int32(x[p] + tolerance) - first
+        outside[p] |= np.int32(c < 0) | np.int32(c >= size)
+
+
+@exactly
+def _move(x, shift, period, top):
+    """Move by less than one period and wrap into [0, top); [top, period) counts as 0."""
+    for p in range(x.size):
+        t = x[p] + shift
+        t -= period * np.float64(t >= top)
+        t += period * np.float64(t < 0.0)
+        # a coordinate just below 0 stays so: it is back at 0, as is one that the second line took to top
+        x[p] = t * np.float64((t > 0.0) & (t < top))
+
+
+@hot
+def _find(axes, p0, count, geometry, shape, layout, node, cell, fraction):
+    """Nodes, cells and local coordinates of a block."""
+    strides = (1, layout[1], layout[2])
+    node[:count] = layout[0]
+    cell[:count] = 0
+    cell_stride = 1
+    for a in range(axes.shape[0]):
+        x = axes[a, p0 : p0 + count]
+        tolerance, first = geometry[1][a], np.int32(geometry[5][a])
+        _place(x, tolerance, first, np.int32(strides[a]), np.int32(cell_stride), node, cell, fraction[a])
+        cell_stride *= shape[a]
+
+
+@hot
+def _move_block(axes, p0, count, geometry):
+    for a in range(axes.shape[0]):
+        _move(axes[a, p0 : p0 + count], geometry[4][a], geometry[2][a], geometry[3][a])
+
+
+@hot
+def _find_leavers(axes, p0, count, geometry, shape, outside, leaving, left):
+    """Mark who is outside, append to `leaving`; returns how many have left so far."""
+    outside[:count] = 0
+    for a in range(axes.shape[0]):
+        x = axes[a, p0 : p0 + count]
+        _mark_outside(x, geometry[1][a], np.int32(geometry[5][a]), np.int32(shape[a]), outside)
+    for p in range(count):
+        if outside[p]:
+            if left < leaving.size:
+                leaving[left] = p0 + p
+            left += 1
+    return left
+
+
+@hot
+def _breaks(cell, count, before):
+    """How many cells differ from that of the particle before."""
+    total = np.int64(cell[0] != before)
+    for p in range(1, count):
+        total += cell[p] != cell[p - 1]
+    return total
+
+
+@inlined
+def _scratch(dim):
+    """Node, cell, outside (3, BLOCK) and local coordinates (d, BLOCK) of a block."""
+    return np.zeros((3, BLOCK), np.int32), np.empty((dim, BLOCK))
+
+
+# ---------------------------------------------------------------- particle by particle
 
 
 @inlined
@@ -30,44 +126,124 @@ def _lerp(a, b, f):
     return a + f * (b - a)
 
 
-@inlined
-def _larger(peak, value):
-    """Running maximum of |value| that a NaN enters and never leaves."""
-    value = abs(value)
-    return peak if peak >= value else (value if peak == peak else peak)
+@hot
+def _update_1d(s, g, p0, count, node, f_, inverse_h, rates, direct):
+    ra, rb = rates
+    sx, tx = ra * inverse_h[0], rb * inverse_h[0]
+    peak, infinite = 0.0, 0.0
+    for p in range(count):
+        b, q, f = U(node[p]) * U(2), U(2 * (p0 + p)), f_[p]
+        g0, g1, g2, g3 = g[b], g[b + U(1)], g[b + U(2)], g[b + U(3)]
+        if direct:
+            r, u = s[q] + sx * (g3 - g1), s[q + U(1)] + tx * (g2 - g0)
+        else:
+            r, u = s[q] + ra * _lerp(g0, g2, f), s[q + U(1)] + rb * _lerp(g1, g3, f)
+        s[q], s[q + U(1)] = r, u
+        if abs(r) > peak:
+            peak = abs(r)
+        infinite += r - r
+    return peak if infinite == 0.0 else np.nan
+
+
+@hot
+def _deposit_1d(s, o, m, p0, count, outside, node, cell, f_, weigh):
+    """Runs of particles in one cell are summed in registers."""
+    a0, a1, b0, b1, m0, m1, m2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    run_cell, run_node = -1, U(0)
+    for p in range(count):
+        if outside[p]:
+            continue
+        if cell[p] != run_cell:
+            if run_cell >= 0:
+                _flush_1d(o, m, run_node, U(3 * run_cell), a0, a1, b0, b1, m0, m1, m2, weigh)
+            a0, a1, b0, b1, m0, m1, m2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            run_cell, run_node = np.int64(cell[p]), U(node[p]) * U(3)
+        f = f_[p]
+        w = 1.0 - f
+        q = U(2 * (p0 + p))
+        r, u = s[q], s[q + U(1)]
+        a0 += w * r
+        a1 += w * u
+        b0 += f * r
+        b1 += f * u
+        m0 += w * w
+        m1 += w * f
+        m2 += f * f
+    if run_cell >= 0:
+        _flush_1d(o, m, run_node, U(3 * run_cell), a0, a1, b0, b1, m0, m1, m2, weigh)
 
 
 @inlined
-def _add2(g, b, w, r, u):
-    a0, a1 = g[b] + w * r, g[b + U(1)] + w * u
-    g[b], g[b + U(1)] = a0, a1
+def _flush_1d(o, m, n, c, a0, a1, b0, b1, m0, m1, m2, weigh):
+    o[n] += a0
+    o[n + U(1)] += a1
+    o[n + U(3)] += b0
+    o[n + U(4)] += b1
+    if weigh:
+        o[n + U(2)] += m0 + m1
+        o[n + U(5)] += m1 + m2
+        m[c] += m0
+        m[c + U(1)] += m1
+        m[c + U(2)] += m2
+
+
+@hot
+def deposit_1d(axes, state, sums, moments, start, stop, geometry, shape, layout, weigh):
+    """Add particles start to stop to the sums and moments."""
+    s, o, m = state.reshape(-1), sums.reshape(-1), moments.reshape(-1)
+    index, fraction = _scratch(1)
+    for p0 in range(start, stop, BLOCK):
+        count = min(BLOCK, stop - p0)
+        _find(axes, p0, count, geometry, shape, layout, index[0], index[1], fraction)
+        _deposit_1d(s, o, m, p0, count, index[2], index[0], index[1], fraction[0], weigh)
+    return _largest(state, start, stop)
+
+
+@hot
+def advance_1d(
+    axes, state, nodal, rates, sums, moments, start, stop, geometry, shape, layout, direct, weigh, bounded, leaving
+):
+    """See the module's docstring."""
+    s, g, o, m = state.reshape(-1), nodal.reshape(-1), sums.reshape(-1), moments.reshape(-1)
+    index, fraction = _scratch(1)
+    node, cell, outside, f = index[0], index[1], index[2], fraction[0]
+    peak, breaks, left, before = 0.0, 0, 0, np.int32(-1)
+    for p0 in range(start, stop, BLOCK):
+        count = min(BLOCK, stop - p0)
+        _find(axes, p0, count, geometry, shape, layout, node, cell, fraction)
+        peak = _worse(peak, _update_1d(s, g, p0, count, node, f, geometry[0], rates, direct))
+        if weigh:
+            _move_block(axes, p0, count, geometry)
+            _find(axes, p0, count, geometry, shape, layout, node, cell, fraction)
+            if bounded:
+                left = _find_leavers(axes, p0, count, geometry, shape, outside, leaving, left)
+            breaks += _breaks(cell, count, before)
+            before = cell[count - 1]
+        _deposit_1d(s, o, m, p0, count, outside, node, cell, f, weigh)
+    return peak, breaks, left
 
 
 @inlined
-def _add3(g, b, w, r, u, v):
-    a0, a1, a2 = g[b] + w * r, g[b + U(1)] + w * u, g[b + U(2)] + w * v
-    g[b], g[b + U(1)], g[b + U(2)] = a0, a1, a2
+def _worse(peak, other):
+    """The larger, NaN larger than all."""
+    return peak if peak >= other or peak != peak else other
+
+
+@hot
+def _largest(state, start, stop):
+    peak, infinite = 0.0, 0.0
+    for p in range(start, stop):
+        r = abs(state[U(p), U(0)])
+        infinite += r - r
+        if r > peak:
+            peak = r
+    return peak if infinite == 0.0 else np.nan
 
 
 @inlined
 def _add4(g, b, w, r, u, v, t):
     a0, a1, a2, a3 = g[b] + w * r, g[b + U(1)] + w * u, g[b + U(2)] + w * v, g[b + U(3)] + w * t
     g[b], g[b + U(1)], g[b + U(2)], g[b + U(3)] = a0, a1, a2, a3
-
-
-@inlined
-def _deposit_1d(sums, moments, node, cell, f, r, u, weigh):
-    w = 1.0 - f
-    b = U(3 * node)
-    if weigh:
-        _add3(sums, b, w, r, u, 1.0)
-        _add3(sums, b + U(3), f, r, u, 1.0)
-        m = U(3 * cell)
-        m0, m1, m2 = moments[m] + w * w, moments[m + U(1)] + w * f, moments[m + U(2)] + f * f
-        moments[m], moments[m + U(1)], moments[m + U(2)] = m0, m1, m2
-    else:
-        _add2(sums, b, w, r, u)
-        _add2(sums, b + U(3), f, r, u)
 
 
 @inlined
@@ -80,200 +256,105 @@ def _add9(m, b, w, p0, p1, p2, p3, p4, p5, p6, p7, p8):
     m[b + U(8)] = a8
 
 
-@inlined
-def _deposit_2d(sums, moments, node, row, cell, fx, fy, r, u, v, weigh):
-    wx, wy = 1.0 - fx, 1.0 - fy
-    b, t = U(4 * node), U(4 * (node + row))
-    if weigh:
-        _add4(sums, b, wx * wy, r, u, v, 1.0)
-        _add4(sums, b + U(4), fx * wy, r, u, v, 1.0)
-        _add4(sums, t, wx * fy, r, u, v, 1.0)
-        _add4(sums, t + U(4), fx * fy, r, u, v, 1.0)
-        x0, x1, x2 = wx * wx, wx * fx, fx * fx
-        y0, y1, y2 = wy * wy, wy * fy, fy * fy
-        _add9(moments, U(9 * cell), 1.0, x0 * y0, x1 * y0, x2 * y0, x0 * y1, x1 * y1, x2 * y1, x0 * y2, x1 * y2, x2 * y2)
-    else:
-        _add3(sums, b, wx * wy, r, u, v)
-        _add3(sums, b + U(4), fx * wy, r, u, v)
-        _add3(sums, t, wx * fy, r, u, v)
-        _add3(sums, t + U(4), fx * fy, r, u, v)
-
-
-@inlined
-def _deposit_3d(sums, moments, node, row, plane, cell, fx, fy, fz, r, u, v, t, weigh):
-    wx, wy, wz = 1.0 - fx, 1.0 - fy, 1.0 - fz
-    b0, b1 = U(5 * node), U(5 * (node + row))
-    b2, b3 = U(5 * (node + plane)), U(5 * (node + plane + row))
-    a0, a1, a2, a3 = wy * wz, fy * wz, wy * fz, fy * fz
-    _add4(sums, b0, a0 * wx, r, u, v, t)
-    _add4(sums, b0 + U(5), a0 * fx, r, u, v, t)
-    _add4(sums, b1, a1 * wx, r, u, v, t)
-    _add4(sums, b1 + U(5), a1 * fx, r, u, v, t)
-    _add4(sums, b2, a2 * wx, r, u, v, t)
-    _add4(sums, b2 + U(5), a2 * fx, r, u, v, t)
-    _add4(sums, b3, a3 * wx, r, u, v, t)
-    _add4(sums, b3 + U(5), a3 * fx, r, u, v, t)
-    if weigh:
-        m = U(27 * cell)
-        x0, x1, x2 = wx * wx, wx * fx, fx * fx
-        y0, y1, y2 = wy * wy, wy * fy, fy * fy
-        p0, p1, p2, p3, p4, p5, p6, p7, p8 = (
-            x0 * y0, x1 * y0, x2 * y0, x0 * y1, x1 * y1, x2 * y1, x0 * y2, x1 * y2, x2 * y2
-        )  # fmt: skip
-        _add9(moments, m, wz * wz, p0, p1, p2, p3, p4, p5, p6, p7, p8)
-        _add9(moments, m + U(9), wz * fz, p0, p1, p2, p3, p4, p5, p6, p7, p8)
-        _add9(moments, m + U(18), fz * fz, p0, p1, p2, p3, p4, p5, p6, p7, p8)
-
-
 @hot
-def deposit_1d(coordinate, state, sums, moments, start, stop, geometry, shape, layout, weigh):
-    """Add particles start to stop to the sums and moments; returns the largest |scalar|."""
-    _, (tolx,), _, _, _, (cx0,) = geometry
-    x, s, o, m = coordinate.reshape(-1), state.reshape(-1), sums.reshape(-1), moments.reshape(-1)
-    peak = 0.0
-    for p in range(start, stop):
-        q = U(2 * p)
-        r, u = s[q], s[q + U(1)]
-        peak = _larger(peak, r)
-        c, f = cell_and_fraction(x[p], tolx)
-        c -= cx0
-        _deposit_1d(o, m, layout[0] + c, c, f, r, u, weigh)
-    return peak
-
-
-@hot
-def deposit_2d(coordinate, state, sums, moments, start, stop, geometry, shape, layout, weigh):
-    """Add particles start to stop to the sums and moments; returns the largest |scalar|."""
-    _, (tolx, toly), _, _, _, (cx0, cy0) = geometry
-    x, s, o, m = coordinate.reshape(-1), state.reshape(-1), sums.reshape(-1), moments.reshape(-1)
-    peak = 0.0
-    for p in range(start, stop):
-        q = U(3 * p)
-        r, u, v = s[q], s[q + U(1)], s[q + U(2)]
-        peak = _larger(peak, r)
-        cx, fx = cell_and_fraction(x[U(2 * p)], tolx)
-        cy, fy = cell_and_fraction(x[U(2 * p + 1)], toly)
-        cx -= cx0
-        cy -= cy0
-        node = layout[0] + cy * layout[1] + cx
-        _deposit_2d(o, m, node, layout[1], cy * shape[0] + cx, fx, fy, r, u, v, weigh)
-    return peak
-
-
-@hot
-def deposit_3d(coordinate, state, sums, moments, start, stop, geometry, shape, layout, weigh):
-    """Add particles start to stop to the sums and moments; returns the largest |scalar|."""
-    _, (tolx, toly, tolz), _, _, _, (cx0, cy0, cz0) = geometry
-    x, s, o, m = coordinate.reshape(-1), state.reshape(-1), sums.reshape(-1), moments.reshape(-1)
-    peak = 0.0
-    for p in range(start, stop):
-        q = U(4 * p)
-        r, u, v, t = s[q], s[q + U(1)], s[q + U(2)], s[q + U(3)]
-        peak = _larger(peak, r)
-        cx, fx = cell_and_fraction(x[U(3 * p)], tolx)
-        cy, fy = cell_and_fraction(x[U(3 * p + 1)], toly)
-        cz, fz = cell_and_fraction(x[U(3 * p + 2)], tolz)
-        cx -= cx0
-        cy -= cy0
-        cz -= cz0
-        node = layout[0] + cz * layout[2] + cy * layout[1] + cx
-        cell = (cz * shape[1] + cy) * shape[0] + cx
-        _deposit_3d(o, m, node, layout[1], layout[2], cell, fx, fy, fz, r, u, v, t, weigh)
-    return peak
-
-
-@hot
-def advance_1d(
-    coordinate, state, nodal, rates, sums, moments, start, stop, geometry, shape, layout, direct, weigh, leaving
-):
-    """See the module's docstring."""
-    (ihx,), (tolx,), (lx,), (topx,), (dx,), (cx0,) = geometry
-    x, s, g = coordinate.reshape(-1), state.reshape(-1), nodal.reshape(-1)
-    o, m = sums.reshape(-1), moments.reshape(-1)
-    base = layout[0] - cx0
+def _update_2d(s, g, p0, count, node, fx_, fy_, row, inverse_h, rates, direct):
     ra, rb = rates
-    sx, tx = ra * ihx, rb * ihx
-    peak, breaks, left, before = 0.0, 0, 0, -1
-    for p in range(start, stop):
-        xp = x[p]
-        c, f = cell_and_fraction(xp, tolx)
-        b = U(2 * (c + base))
-        g0, g1, g2, g3 = g[b], g[b + U(1)], g[b + U(2)], g[b + U(3)]
-        q = U(2 * p)
+    sx, sy, tx, ty = ra * inverse_h[0], ra * inverse_h[1], rb * inverse_h[0], rb * inverse_h[1]
+    peak, infinite = 0.0, 0.0
+    for p in range(count):
+        b, q, fx, fy = U(node[p]) * U(3), U(3 * (p0 + p)), fx_[p], fy_[p]
+        t = b + U(3 * row)
+        b0, b1, b2, b3, b4, b5 = g[b], g[b + U(1)], g[b + U(2)], g[b + U(3)], g[b + U(4)], g[b + U(5)]
+        t0, t1, t2, t3, t4, t5 = g[t], g[t + U(1)], g[t + U(2)], g[t + U(3)], g[t + U(4)], g[t + U(5)]
         if direct:
-            r, u = s[q] + sx * (g3 - g1), s[q + U(1)] + tx * (g2 - g0)
+            r = s[q] + sx * _lerp(b4 - b1, t4 - t1, fy) + sy * _lerp(t2 - b2, t5 - b5, fx)
+            u = s[q + U(1)] + tx * _lerp(b3 - b0, t3 - t0, fy)
+            v = s[q + U(2)] + ty * _lerp(t0 - b0, t3 - b3, fx)
         else:
-            r, u = s[q] + ra * _lerp(g0, g2, f), s[q + U(1)] + rb * _lerp(g1, g3, f)
-        s[q], s[q + U(1)] = r, u
-        peak = _larger(peak, r)
-        xp = moved(xp, dx, lx, topx)
-        x[p] = xp
-        c, f = cell_and_fraction(xp, tolx)
-        c -= cx0
-        if U(c) >= U(shape[0]):
-            if left < leaving.size:
-                leaving[left] = p
-            left += 1
-        else:
-            _deposit_1d(o, m, layout[0] + c, c, f, r, u, weigh)
-            breaks += c != before
-            before = c
-    return peak, breaks, left
+            r = s[q] + ra * _lerp(_lerp(b0, t0, fy), _lerp(b3, t3, fy), fx)
+            u = s[q + U(1)] + rb * _lerp(_lerp(b1, t1, fy), _lerp(b4, t4, fy), fx)
+            v = s[q + U(2)] + rb * _lerp(_lerp(b2, t2, fy), _lerp(b5, t5, fy), fx)
+        s[q], s[q + U(1)], s[q + U(2)] = r, u, v
+        if abs(r) > peak:
+            peak = abs(r)
+        infinite += r - r
+    return peak if infinite == 0.0 else np.nan
 
 
-@inlined
-def _bilinear(g, b, t, fx, fy):
-    return _lerp(_lerp(g[b], g[b + U(3)], fx), _lerp(g[t], g[t + U(3)], fx), fy)
+@hot
+def _deposit_2d(s, o, m, p0, count, outside, node, cell, fx_, fy_, row, weigh):
+    one = 1.0 if weigh else 0.0
+    for p in range(count):
+        if outside[p]:
+            continue
+        b, q, fx, fy = U(node[p]) * U(4), U(3 * (p0 + p)), fx_[p], fy_[p]
+        t = b + U(4 * row)
+        wx, wy = 1.0 - fx, 1.0 - fy
+        r, u, v = s[q], s[q + U(1)], s[q + U(2)]
+        _add4(o, b, wx * wy, r, u, v, one)
+        _add4(o, b + U(4), fx * wy, r, u, v, one)
+        _add4(o, t, wx * fy, r, u, v, one)
+        _add4(o, t + U(4), fx * fy, r, u, v, one)
+        if weigh:
+            x0, x1, x2 = wx * wx, wx * fx, fx * fx
+            y0, y1, y2 = wy * wy, wy * fy, fy * fy
+            c = U(cell[p]) * U(9)
+            _add9(m, c, 1.0, x0 * y0, x1 * y0, x2 * y0, x0 * y1, x1 * y1, x2 * y1, x0 * y2, x1 * y2, x2 * y2)
+
+
+@hot
+def deposit_2d(axes, state, sums, moments, start, stop, geometry, shape, layout, weigh):
+    """Add particles start to stop to the sums and moments."""
+    s, o, m = state.reshape(-1), sums.reshape(-1), moments.reshape(-1)
+    index, fraction = _scratch(2)
+    node, cell, outside, fx, fy = index[0], index[1], index[2], fraction[0], fraction[1]
+    for p0 in range(start, stop, BLOCK):
+        count = min(BLOCK, stop - p0)
+        _find(axes, p0, count, geometry, shape, layout, node, cell, fraction)
+        _deposit_2d(s, o, m, p0, count, outside, node, cell, fx, fy, layout[1], weigh)
+    return _largest(state, start, stop)
 
 
 @hot
 def advance_2d(
-    coordinate, state, nodal, rates, sums, moments, start, stop, geometry, shape, layout, direct, weigh, leaving
+    axes, state, nodal, rates, sums, moments, start, stop, geometry, shape, layout, direct, weigh, bounded, leaving
 ):
     """See the module's docstring."""
-    (ihx, ihy), (tolx, toly), (lx, ly), (topx, topy), (dx, dy), (cx0, cy0) = geometry
-    x, s, g = coordinate.reshape(-1), state.reshape(-1), nodal.reshape(-1)
-    o, m = sums.reshape(-1), moments.reshape(-1)
-    base = layout[0] - cy0 * layout[1] - cx0
-    ra, rb = rates
-    sx, sy, tx, ty = ra * ihx, ra * ihy, rb * ihx, rb * ihy
-    peak, breaks, left, before = 0.0, 0, 0, -1
-    for p in range(start, stop):
-        xp, yp = x[U(2 * p)], x[U(2 * p + 1)]
-        cx, fx = cell_and_fraction(xp, tolx)
-        cy, fy = cell_and_fraction(yp, toly)
-        b = U(3 * (base + cy * layout[1] + cx))
-        t = b + U(3 * layout[1])
-        q = U(3 * p)
-        if direct:
-            r = s[q]
-            r += sx * _lerp(g[b + U(4)] - g[b + U(1)], g[t + U(4)] - g[t + U(1)], fy)
-            r += sy * _lerp(g[t + U(2)] - g[b + U(2)], g[t + U(5)] - g[b + U(5)], fx)
-            u = s[q + U(1)] + tx * _lerp(g[b + U(3)] - g[b], g[t + U(3)] - g[t], fy)
-            v = s[q + U(2)] + ty * _lerp(g[t] - g[b], g[t + U(3)] - g[b + U(3)], fx)
-        else:
-            r = s[q] + ra * _bilinear(g, b, t, fx, fy)
-            u = s[q + U(1)] + rb * _bilinear(g, b + U(1), t + U(1), fx, fy)
-            v = s[q + U(2)] + rb * _bilinear(g, b + U(2), t + U(2), fx, fy)
-        s[q], s[q + U(1)], s[q + U(2)] = r, u, v
-        peak = _larger(peak, r)
-        xp, yp = moved(xp, dx, lx, topx), moved(yp, dy, ly, topy)
-        x[U(2 * p)], x[U(2 * p + 1)] = xp, yp
-        cx, fx = cell_and_fraction(xp, tolx)
-        cy, fy = cell_and_fraction(yp, toly)
-        cx -= cx0
-        cy -= cy0
-        if U(cx) >= U(shape[0]) or U(cy) >= U(shape[1]):
-            if left < leaving.size:
-                leaving[left] = p
-            left += 1
-        else:
-            cell = cy * shape[0] + cx
-            node = layout[0] + cy * layout[1] + cx
-            _deposit_2d(o, m, node, layout[1], cell, fx, fy, r, u, v, weigh)
-            breaks += cell != before
-            before = cell
+    s, g, o, m = state.reshape(-1), nodal.reshape(-1), sums.reshape(-1), moments.reshape(-1)
+    index, fraction = _scratch(2)
+    node, cell, outside, fx, fy = index[0], index[1], index[2], fraction[0], fraction[1]
+    peak, breaks, left, before = 0.0, 0, 0, np.int32(-1)
+    for p0 in range(start, stop, BLOCK):
+        count = min(BLOCK, stop - p0)
+        _find(axes, p0, count, geometry, shape, layout, node, cell, fraction)
+        peak = _worse(peak, _update_2d(s, g, p0, count, node, fx, fy, layout[1], geometry[0], rates, direct))
+        if weigh:
+            _move_block(axes, p0, count, geometry)
+            _find(axes, p0, count, geometry, shape, layout, node, cell, fraction)
+            if bounded:
+                left = _find_leavers(axes, p0, count, geometry, shape, outside, leaving, left)
+            breaks += _breaks(cell, count, before)
+            before = cell[count - 1]
+        _deposit_2d(s, o, m, p0, count, outside, node, cell, fx, fy, layout[1], weigh)
     return peak, breaks, left
+
+
+@inlined
+def _slope(a0, a1, b0, b1, c0, c1, d0, d1, f, h):
+    """Difference along one axis (x1 - x0), interpolated along the two others with f and h."""
+    return _lerp(_lerp(a1 - a0, b1 - b0, f), _lerp(c1 - c0, d1 - d0, f), h)
+
+
+@inlined
+def _gradient_3d(g, b, c, t, e, fx, fy, fz):
+    """Differences along x, y and z of one column; b, c, t, e its entries at (0,0), (y,0), (0,z), (y,z), x low."""
+    k = U(4)
+    b0, b1, c0, c1, t0, t1, e0, e1 = g[b], g[b + k], g[c], g[c + k], g[t], g[t + k], g[e], g[e + k]
+    return (
+        _slope(b0, b1, c0, c1, t0, t1, e0, e1, fy, fz),
+        _slope(b0, c0, b1, c1, t0, e0, t1, e1, fx, fz),
+        _slope(b0, t0, b1, t1, c0, e0, c1, e1, fx, fy),
+    )
 
 
 @inlined
@@ -283,70 +364,98 @@ def _trilinear(g, b, c, t, e, fx, fy, fz):
     return _lerp(low, high, fz)
 
 
-@inlined
-def _slope(g, a0, a1, b0, b1, c0, c1, d0, d1, f, h):
-    """Difference along one axis (x1 - x0), interpolated along the two others with f and h."""
-    return _lerp(_lerp(g[a1] - g[a0], g[b1] - g[b0], f), _lerp(g[c1] - g[c0], g[d1] - g[d0], f), h)
-
-
 @hot
-def advance_3d(
-    coordinate, state, nodal, rates, sums, moments, start, stop, geometry, shape, layout, direct, weigh, leaving
-):
-    """See the module's docstring."""
-    (ihx, ihy, ihz), (tolx, toly, tolz), (lx, ly, lz), (topx, topy, topz), (dx, dy, dz), (cx0, cy0, cz0) = geometry
-    x, s, g = coordinate.reshape(-1), state.reshape(-1), nodal.reshape(-1)
-    o, m = sums.reshape(-1), moments.reshape(-1)
-    base = layout[0] - cz0 * layout[2] - cy0 * layout[1] - cx0
+def _update_3d(s, g, p0, count, node, fx_, fy_, fz_, row, plane, inverse_h, rates, direct):
     ra, rb = rates
-    sx, sy, sz, tx, ty, tz = ra * ihx, ra * ihy, ra * ihz, rb * ihx, rb * ihy, rb * ihz
-    k = U(4)
-    peak, breaks, left, before = 0.0, 0, 0, -1
-    for p in range(start, stop):
-        i = U(3 * p)
-        xp, yp, zp = x[i], x[i + U(1)], x[i + U(2)]
-        cx, fx = cell_and_fraction(xp, tolx)
-        cy, fy = cell_and_fraction(yp, toly)
-        cz, fz = cell_and_fraction(zp, tolz)
-        b = U(4 * (base + cz * layout[2] + cy * layout[1] + cx))
-        c = b + U(4 * layout[1])
-        t = b + U(4 * layout[2])
-        e = t + U(4 * layout[1])
-        q = U(4 * p)
+    hx, hy, hz = inverse_h
+    peak, infinite = 0.0, 0.0
+    for p in range(count):
+        b, q, fx, fy, fz = U(node[p]) * U(4), U(4 * (p0 + p)), fx_[p], fy_[p], fz_[p]
+        c, t = b + U(4 * row), b + U(4 * plane)
+        e = t + U(4 * row)
         if direct:
-            r = s[q]
-            j = U(1)
-            r += sx * _slope(g, b + j, b + j + k, c + j, c + j + k, t + j, t + j + k, e + j, e + j + k, fy, fz)
-            j = U(2)
-            r += sy * _slope(g, b + j, c + j, b + j + k, c + j + k, t + j, e + j, t + j + k, e + j + k, fx, fz)
-            j = U(3)
-            r += sz * _slope(g, b + j, t + j, b + j + k, t + j + k, c + j, e + j, c + j + k, e + j + k, fx, fy)
-            u = s[q + U(1)] + tx * _slope(g, b, b + k, c, c + k, t, t + k, e, e + k, fy, fz)
-            v = s[q + U(2)] + ty * _slope(g, b, c, b + k, c + k, t, e, t + k, e + k, fx, fz)
-            w = s[q + U(3)] + tz * _slope(g, b, t, b + k, t + k, c, e, c + k, e + k, fx, fy)
+            rx, ry, rz = _gradient_3d(g, b, c, t, e, fx, fy, fz)
+            ux, _, _ = _gradient_3d(g, b + U(1), c + U(1), t + U(1), e + U(1), fx, fy, fz)
+            _, vy, _ = _gradient_3d(g, b + U(2), c + U(2), t + U(2), e + U(2), fx, fy, fz)
+            _, _, wz = _gradient_3d(g, b + U(3), c + U(3), t + U(3), e + U(3), fx, fy, fz)
+            r = s[q] + ra * (hx * ux + hy * vy + hz * wz)
+            u, v, w = s[q + U(1)] + rb * hx * rx, s[q + U(2)] + rb * hy * ry, s[q + U(3)] + rb * hz * rz
         else:
             r = s[q] + ra * _trilinear(g, b, c, t, e, fx, fy, fz)
             u = s[q + U(1)] + rb * _trilinear(g, b + U(1), c + U(1), t + U(1), e + U(1), fx, fy, fz)
             v = s[q + U(2)] + rb * _trilinear(g, b + U(2), c + U(2), t + U(2), e + U(2), fx, fy, fz)
             w = s[q + U(3)] + rb * _trilinear(g, b + U(3), c + U(3), t + U(3), e + U(3), fx, fy, fz)
         s[q], s[q + U(1)], s[q + U(2)], s[q + U(3)] = r, u, v, w
-        peak = _larger(peak, r)
-        xp, yp, zp = moved(xp, dx, lx, topx), moved(yp, dy, ly, topy), moved(zp, dz, lz, topz)
-        x[i], x[i + U(1)], x[i + U(2)] = xp, yp, zp
-        cx, fx = cell_and_fraction(xp, tolx)
-        cy, fy = cell_and_fraction(yp, toly)
-        cz, fz = cell_and_fraction(zp, tolz)
-        cx -= cx0
-        cy -= cy0
-        cz -= cz0
-        if U(cx) >= U(shape[0]) or U(cy) >= U(shape[1]) or U(cz) >= U(shape[2]):
-            if left < leaving.size:
-                leaving[left] = p
-            left += 1
-        else:
-            cell = (cz * shape[1] + cy) * shape[0] + cx
-            node = layout[0] + cz * layout[2] + cy * layout[1] + cx
-            _deposit_3d(o, m, node, layout[1], layout[2], cell, fx, fy, fz, r, u, v, w, weigh)
-            breaks += cell != before
-            before = cell
+        if abs(r) > peak:
+            peak = abs(r)
+        infinite += r - r
+    return peak if infinite == 0.0 else np.nan
+
+
+@hot
+def _deposit_3d(s, o, m, p0, count, outside, node, cell, fx_, fy_, fz_, row, plane, weigh):
+    for p in range(count):
+        if outside[p]:
+            continue
+        b0, q, fx, fy, fz = U(node[p]) * U(5), U(4 * (p0 + p)), fx_[p], fy_[p], fz_[p]
+        b1, b2 = b0 + U(5 * row), b0 + U(5 * plane)
+        b3 = b2 + U(5 * row)
+        wx, wy, wz = 1.0 - fx, 1.0 - fy, 1.0 - fz
+        a0, a1, a2, a3 = wy * wz, fy * wz, wy * fz, fy * fz
+        r, u, v, t = s[q], s[q + U(1)], s[q + U(2)], s[q + U(3)]
+        _add4(o, b0, a0 * wx, r, u, v, t)
+        _add4(o, b0 + U(5), a0 * fx, r, u, v, t)
+        _add4(o, b1, a1 * wx, r, u, v, t)
+        _add4(o, b1 + U(5), a1 * fx, r, u, v, t)
+        _add4(o, b2, a2 * wx, r, u, v, t)
+        _add4(o, b2 + U(5), a2 * fx, r, u, v, t)
+        _add4(o, b3, a3 * wx, r, u, v, t)
+        _add4(o, b3 + U(5), a3 * fx, r, u, v, t)
+        if weigh:
+            c = U(cell[p]) * U(27)
+            x0, x1, x2 = wx * wx, wx * fx, fx * fx
+            y0, y1, y2 = wy * wy, wy * fy, fy * fy
+            k0, k1, k2, k3, k4 = x0 * y0, x1 * y0, x2 * y0, x0 * y1, x1 * y1
+            k5, k6, k7, k8 = x2 * y1, x0 * y2, x1 * y2, x2 * y2
+            _add9(m, c, wz * wz, k0, k1, k2, k3, k4, k5, k6, k7, k8)
+            _add9(m, c + U(9), wz * fz, k0, k1, k2, k3, k4, k5, k6, k7, k8)
+            _add9(m, c + U(18), fz * fz, k0, k1, k2, k3, k4, k5, k6, k7, k8)
+
+
+@hot
+def deposit_3d(axes, state, sums, moments, start, stop, geometry, shape, layout, weigh):
+    """Add particles start to stop to the sums and moments."""
+    s, o, m = state.reshape(-1), sums.reshape(-1), moments.reshape(-1)
+    index, f = _scratch(3)
+    node, cell, outside = index[0], index[1], index[2]
+    for p0 in range(start, stop, BLOCK):
+        count = min(BLOCK, stop - p0)
+        _find(axes, p0, count, geometry, shape, layout, node, cell, f)
+        _deposit_3d(s, o, m, p0, count, outside, node, cell, f[0], f[1], f[2], layout[1], layout[2], weigh)
+    return _largest(state, start, stop)
+
+
+@hot
+def advance_3d(
+    axes, state, nodal, rates, sums, moments, start, stop, geometry, shape, layout, direct, weigh, bounded, leaving
+):
+    """See the module's docstring."""
+    s, g, o, m = state.reshape(-1), nodal.reshape(-1), sums.reshape(-1), moments.reshape(-1)
+    index, f = _scratch(3)
+    node, cell, outside = index[0], index[1], index[2]
+    row, plane = layout[1], layout[2]
+    peak, breaks, left, before = 0.0, 0, 0, np.int32(-1)
+    for p0 in range(start, stop, BLOCK):
+        count = min(BLOCK, stop - p0)
+        _find(axes, p0, count, geometry, shape, layout, node, cell, f)
+        other = _update_3d(s, g, p0, count, node, f[0], f[1], f[2], row, plane, geometry[0], rates, direct)
+        peak = _worse(peak, other)
+        if weigh:
+            _move_block(axes, p0, count, geometry)
+            _find(axes, p0, count, geometry, shape, layout, node, cell, f)
+            if bounded:
+                left = _find_leavers(axes, p0, count, geometry, shape, outside, leaving, left)
+            breaks += _breaks(cell, count, before)
+            before = cell[count - 1]
+        _deposit_3d(s, o, m, p0, count, outside, node, cell, f[0], f[1], f[2], row, plane, weigh)
     return peak, breaks, left

@@ -44,18 +44,5 @@ def cell_and_fraction(x, tolerance):
 
     Within `tolerance` of a node x counts as on it and belongs to the right-hand cell.
     """
-    c = np.int64(x + tolerance)
-    return c, max(x - c, 0.0)
-
-
-@exactly
-def moved(x, shift, period, top):
-    """Coordinate after a shift of less than one period, wrapped into [0, top); [top, period) counts as 0."""
-    x = x + shift
-    if x >= top:
-        x = max(x - period, 0.0)
-    elif x < 0.0:
-        x = x + period
-        if x >= top:
-            x = 0.0
-    return x
+    c = np.int32(x + tolerance)
+    return c, max(x - np.float64(c), 0.0)
