@@ -53,7 +53,7 @@ def norms(error: FloatArray, total: int, comm: MPI.Comm) -> Norms:
     size = np.abs(error)
     if error.ndim == 2:
         longest = size.max(axis=1, initial=0.0)
-        scale = np.where(longest > 0, longest, 1.0)
+        scale = np.where((longest > 0) & np.isfinite(longest), longest, 1.0)
         size = longest * np.sqrt(np.sum((size / scale[:, None]) ** 2, axis=1))
     # a NaN does not survive every MPI's MAX: it is sent as infinity, and comes back out of the sums
     largest = comm.allreduce(float(np.nan_to_num(size, nan=np.inf).max(initial=0.0)), op=MPI.MAX)

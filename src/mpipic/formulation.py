@@ -82,12 +82,12 @@ class SymplecticEuler:
 
         u = sweep.divide(u_sums, out=self._vector)
         sums = sweep.complete(sweep.divergence_sums(u, out=_zeroed(self._scalar)))
-        divergence[:] = self.filter.coefficients(sums, out=self._scalar)
+        self.filter.coefficients(sums, out=divergence)
 
-        rho_sums -= rates.density * sweep.complete(sweep.gram(divergence, out=_zeroed(self._scalar)))
-        rho = sweep.divide(rho_sums, out=self._scalar)
+        change = sweep.complete(sweep.gram(divergence, out=_zeroed(self._scalar)))
+        rho = sweep.divide_changed(rho_sums, -rates.density, change, out=self._scalar)
         sums = sweep.complete(sweep.gradient_sums(rho, out=_zeroed(self._vector)))
-        gradient[:] = self.filter.coefficients(sums, out=self._vector)
+        self.filter.coefficients(sums, out=gradient)
 
         sweep.advance(self.nodal, (-rates.density, -rates.velocity))
 
@@ -117,8 +117,8 @@ class UnfilteredEuler:
         rho, u = self.nodal[:, :1], self.nodal[:, 1:]
 
         sweep.divide(u_sums, out=u)
-        rho_sums -= rates.density * sweep.complete(sweep.divergence_sums(u, out=_zeroed(self._scalar)))
-        sweep.divide(rho_sums, out=rho)
+        change = sweep.complete(sweep.divergence_sums(u, out=_zeroed(self._scalar)))
+        sweep.divide_changed(rho_sums, -rates.density, change, out=rho)
 
         sweep.advance(self.nodal, (-rates.density, -rates.velocity), direct=True)
 

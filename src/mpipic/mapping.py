@@ -30,19 +30,19 @@ class NodalMapping(Protocol):
         ...
 
 
-def _divide(weights: FloatArray, sums: FloatArray, out: FloatArray | None) -> FloatArray:
+def _divide(inverse_weights: FloatArray, sums: FloatArray, out: FloatArray | None) -> FloatArray:
     result = np.empty(sums.shape) if out is None else out
     if sums.ndim == 1:
-        generic.divide(sums[:, None], weights, result[:, None])
+        generic.scale_rows(sums[:, None], inverse_weights, result[:, None])
     else:
-        generic.divide(sums, weights, result)
+        generic.scale_rows(sums, inverse_weights, result)
     return result
 
 
 def _columns(values: FloatArray) -> FloatArray:
     """(n,) or (n, k) as C-contiguous (n, k)."""
     values = np.asarray(values, dtype=np.float64)
-    return np.ascontiguousarray(values.reshape(len(values), -1))
+    return np.ascontiguousarray(values if values.ndim == 2 else values[:, None])
 
 
 class Mapping:
@@ -85,6 +85,8 @@ class Mapping:
         """Move the mapping to new positions. Collective; one pass and one sum and fill of the halo."""
         self._cell, self._fraction = locate(self.grid, self.grid.coordinate_of(_columns(position)))
         self.weights = self.sums(np.ones(len(self._cell)))
+        self._inverse = np.empty_like(self.weights)
+        generic.invert(self.weights, self._inverse)
 
     def sums(self, values: FloatArray) -> FloatArray:
         """Φᵀ values: (n,) or (n, k) to (local_nodes,) or (local_nodes, k).
@@ -100,7 +102,7 @@ class Mapping:
 
     def divide(self, sums: FloatArray, out: FloatArray | None = None) -> FloatArray:
         """diag(d)⁻¹ sums, 0 on nodes that no particle sees. Local."""
-        return _divide(self.weights, sums, out)
+        return _divide(self._inverse, sums, out)
 
     def p2g(self, values: FloatArray) -> FloatArray:
         """S values: weighted means at the nodes, (n, ...) to (local_nodes, ...). Keeps constants. Collective."""
@@ -176,6 +178,7 @@ class Sweep:
         self.routes = migration.Routes(grid, shift) if self.moving and grid.size > 1 else None
         self.sums = grid.zeros(grid.dim + 2)
         self.weights = self.sums[:, -1]
+        self._inverse = np.empty(grid.local_nodes)
         self._moments = np.empty((grid.local_cells, 3**grid.dim))
         self._leaving = np.empty(max(1024, particles.count // 16), dtype=np.int64)
         self.peak = 0.0
@@ -195,7 +198,12 @@ class Sweep:
 
     def divide(self, sums: FloatArray, out: FloatArray | None = None) -> FloatArray:
         """diag(d)⁻¹ sums, 0 on nodes that no particle sees. Local."""
-        return _divide(self.weights, sums, out)
+        return _divide(self._inverse, sums, out)
+
+    def divide_changed(self, sums: FloatArray, rate: float, change: FloatArray, out: FloatArray) -> FloatArray:
+        """diag(d)⁻¹ (sums + rate change), one column. Local."""
+        generic.scale_changed(sums, rate, change, self._inverse, out)
+        return out
 
     def gram(self, nodal: FloatArray, out: FloatArray) -> FloatArray:
         """out += G nodal, G = ΦᵀΦ, one column; complete it afterwards. Local."""
@@ -223,7 +231,7 @@ class Sweep:
     @property
     def nbytes(self) -> int:
         """Bytes of the nodal sums, the pair moments and the list of leavers."""
-        return self.sums.nbytes + self._moments.nbytes + self._leaving.nbytes
+        return sum(a.nbytes for a in (self.sums, self._inverse, self._moments, self._leaving))
 
     # ------------------------------------------------------------ on particles
 
@@ -285,6 +293,7 @@ class Sweep:
             self._kernels.row_sums(self._moments, *self._cells, self.sums, self.sums.shape[1] - 1)
         if weigh:
             self.complete(self.sums)
+            generic.invert(self.weights, self._inverse)
         else:
             # the row sums are complete already, on ghosts too: summing the halo again would count them twice
             state = np.ascontiguousarray(self.sums[:, :-1])

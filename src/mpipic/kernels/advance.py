@@ -106,9 +106,9 @@ def _find_leavers(axes, p0, count, geometry, shape, outside, leaving, left):
 @hot
 def _breaks(cell, count, before):
     """How many cells differ from that of the particle before."""
-    total = np.int64(cell[0] != before)
+    total = 1 if cell[0] != before else 0
     for p in range(1, count):
-        total += cell[p] != cell[p - 1]
+        total += 1 if cell[p] != cell[p - 1] else 0
     return total
 
 
@@ -207,7 +207,7 @@ def advance_1d(
     s, g, o, m = state.reshape(-1), nodal.reshape(-1), sums.reshape(-1), moments.reshape(-1)
     index, fraction = _scratch(1)
     node, cell, outside, f = index[0], index[1], index[2], fraction[0]
-    peak, breaks, left, before = 0.0, 0, 0, np.int32(-1)
+    peak, breaks, left, before = 0.0, 0, 0, -1
     for p0 in range(start, stop, BLOCK):
         count = min(BLOCK, stop - p0)
         _find(axes, p0, count, geometry, shape, layout, node, cell, fraction)
@@ -218,7 +218,7 @@ def advance_1d(
             if bounded:
                 left = _find_leavers(axes, p0, count, geometry, shape, outside, leaving, left)
             breaks += _breaks(cell, count, before)
-            before = cell[count - 1]
+            before = np.int64(cell[count - 1])
         _deposit_1d(s, o, m, p0, count, outside, node, cell, f, weigh)
     return peak, breaks, left
 
@@ -323,7 +323,7 @@ def advance_2d(
     s, g, o, m = state.reshape(-1), nodal.reshape(-1), sums.reshape(-1), moments.reshape(-1)
     index, fraction = _scratch(2)
     node, cell, outside, fx, fy = index[0], index[1], index[2], fraction[0], fraction[1]
-    peak, breaks, left, before = 0.0, 0, 0, np.int32(-1)
+    peak, breaks, left, before = 0.0, 0, 0, -1
     for p0 in range(start, stop, BLOCK):
         count = min(BLOCK, stop - p0)
         _find(axes, p0, count, geometry, shape, layout, node, cell, fraction)
@@ -334,7 +334,7 @@ def advance_2d(
             if bounded:
                 left = _find_leavers(axes, p0, count, geometry, shape, outside, leaving, left)
             breaks += _breaks(cell, count, before)
-            before = cell[count - 1]
+            before = np.int64(cell[count - 1])
         _deposit_2d(s, o, m, p0, count, outside, node, cell, fx, fy, layout[1], weigh)
     return peak, breaks, left
 
@@ -444,7 +444,7 @@ def advance_3d(
     index, f = _scratch(3)
     node, cell, outside = index[0], index[1], index[2]
     row, plane = layout[1], layout[2]
-    peak, breaks, left, before = 0.0, 0, 0, np.int32(-1)
+    peak, breaks, left, before = 0.0, 0, 0, -1
     for p0 in range(start, stop, BLOCK):
         count = min(BLOCK, stop - p0)
         _find(axes, p0, count, geometry, shape, layout, node, cell, f)
@@ -456,6 +456,6 @@ def advance_3d(
             if bounded:
                 left = _find_leavers(axes, p0, count, geometry, shape, outside, leaving, left)
             breaks += _breaks(cell, count, before)
-            before = cell[count - 1]
+            before = np.int64(cell[count - 1])
         _deposit_3d(s, o, m, p0, count, outside, node, cell, f[0], f[1], f[2], row, plane, weigh)
     return peak, breaks, left

@@ -93,23 +93,16 @@ def _along_z(m, q, z0, z1, z2, z3):
     )  # fmt: skip
 
 
-@inlined
-def _add4(o, k, n, row, a0, a1, a2, a3):
-    """Add to column k of the four corners of a cell, n the lowest."""
-    o[n, k] += a0
-    o[n + U(1), k] += a1
-    o[n + row, k] += a2
-    o[n + row + U(1), k] += a3
-
-
 @hot
 def row_sums_1d(moments, shape, layout, out, column):
     """out[:, column] += Φᵀ1."""
     m, k = moments.reshape(-1), U(column)
+    right = 0.0
     for i in range(shape[0]):
         q, n = U(3 * i), U(layout[0] + i)
-        out[n, k] += m[q] + m[q + U(1)]
-        out[n + U(1), k] += m[q + U(1)] + m[q + U(2)]
+        out[n, k] += right + (m[q] + m[q + U(1)])
+        right = m[q + U(1)] + m[q + U(2)]
+    out[U(layout[0] + shape[0]), k] += right
 
 
 @hot
@@ -117,48 +110,75 @@ def row_sums_2d(moments, shape, layout, out, column):
     """out[:, column] += Φᵀ1."""
     m, k, row = moments.reshape(-1), U(column), U(layout[1])
     for j in range(shape[1]):
+        n = U(layout[0] + j * layout[1])
+        r0, r1 = 0.0, 0.0
         for i in range(shape[0]):
             a0, a1, a2, a3 = _plane(m, U(9 * (j * shape[0] + i)), 1.0, 1.0, 1.0, 1.0)
-            _add4(out, k, U(layout[0] + j * layout[1] + i), row, a0, a1, a2, a3)
+            out[n, k] += r0 + a0
+            out[n + row, k] += r1 + a2
+            r0, r1 = a1, a3
+            n += U(1)
+        out[n, k] += r0
+        out[n + row, k] += r1
 
 
 @hot
 def row_sums_3d(moments, shape, layout, out, column):
     """out[:, column] += Φᵀ1."""
-    m, c, row, plane = moments.reshape(-1), U(column), U(layout[1]), U(layout[2])
+    m, z, row, plane = moments.reshape(-1), U(column), U(layout[1]), U(layout[2])
     for k in range(shape[2]):
         for j in range(shape[1]):
+            n = U(layout[0] + k * layout[2] + j * layout[1])
+            r0, r1, r2, r3 = 0.0, 0.0, 0.0, 0.0
             for i in range(shape[0]):
-                n = U(layout[0] + k * layout[2] + j * layout[1] + i)
                 q = U(27 * ((k * shape[1] + j) * shape[0] + i))
                 a0, a1, a2, a3, a4, a5, a6, a7 = _gram_cell_3d(m, q, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
-                _add4(out, c, n, row, a0, a1, a2, a3)
-                _add4(out, c, n + plane, row, a4, a5, a6, a7)
+                _add_edge_3d(out, z, n, row, plane, r0 + a0, r1 + a2, r2 + a4, r3 + a6)
+                r0, r1, r2, r3 = a1, a3, a5, a7
+                n += U(1)
+            _add_edge_3d(out, z, n, row, plane, r0, r1, r2, r3)
+
+
+@inlined
+def _add_edge_3d(out, k, n, row, plane, a0, a1, a2, a3):
+    """Add to column k of the four nodes at low and high y and z."""
+    t = n + plane
+    out[n, k] += a0
+    out[n + row, k] += a1
+    out[t, k] += a2
+    out[t + row, k] += a3
 
 
 @hot
 def gram_1d(moments, shape, layout, values, out):
     """out += G values, column 0."""
     m, e, z = moments.reshape(-1), U(1), U(0)
+    right, v0 = 0.0, values[U(layout[0]), z]
     for i in range(shape[0]):
         q, n = U(3 * i), U(layout[0] + i)
-        a0, a1 = _pair(m[q], m[q + e], m[q + U(2)], values[n, z], values[n + e, z])
-        out[n, z] += a0
-        out[n + e, z] += a1
+        v1 = values[n + e, z]
+        a0, a1 = _pair(m[q], m[q + e], m[q + U(2)], v0, v1)
+        out[n, z] += right + a0
+        right, v0 = a1, v1
+    out[U(layout[0] + shape[0]), z] += right
 
 
 @hot
 def gram_2d(moments, shape, layout, values, out):
     """out += G values, column 0."""
-    m, row, e, z = moments.reshape(-1), U(layout[1]), U(1), U(0)
+    m, v, row, e, z = moments.reshape(-1), values, U(layout[1]), U(1), U(0)
     for j in range(shape[1]):
+        n = U(layout[0] + j * layout[1])
+        r0, r1, v0, v2 = 0.0, 0.0, v[n, z], v[n + row, z]
         for i in range(shape[0]):
-            n = U(layout[0] + j * layout[1] + i)
-            t = n + row
-            a0, a1, a2, a3 = _plane(
-                m, U(9 * (j * shape[0] + i)), values[n, z], values[n + e, z], values[t, z], values[t + e, z]
-            )
-            _add4(out, z, n, row, a0, a1, a2, a3)
+            v1, v3 = v[n + e, z], v[n + row + e, z]
+            a0, a1, a2, a3 = _plane(m, U(9 * (j * shape[0] + i)), v0, v1, v2, v3)
+            out[n, z] += r0 + a0
+            out[n + row, z] += r1 + a2
+            r0, r1, v0, v2 = a1, a3, v1, v3
+            n += e
+        out[n, z] += r0
+        out[n + row, z] += r1
 
 
 @hot
@@ -167,27 +187,34 @@ def gram_3d(moments, shape, layout, values, out):
     m, v, row, plane, e, z = moments.reshape(-1), values, U(layout[1]), U(layout[2]), U(1), U(0)
     for k in range(shape[2]):
         for j in range(shape[1]):
+            n = U(layout[0] + k * layout[2] + j * layout[1])
+            t = n + plane
+            r0, r1, r2, r3 = 0.0, 0.0, 0.0, 0.0
+            v0, v2, v4, v6 = v[n, z], v[n + row, z], v[t, z], v[t + row, z]
             for i in range(shape[0]):
-                n = U(layout[0] + k * layout[2] + j * layout[1] + i)
                 t = n + plane
-                a0, a1, a2, a3, a4, a5, a6, a7 = _gram_cell_3d(
-                    m, U(27 * ((k * shape[1] + j) * shape[0] + i)),
-                    v[n, z], v[n + e, z], v[n + row, z], v[n + row + e, z],
-                    v[t, z], v[t + e, z], v[t + row, z], v[t + row + e, z],
-                )  # fmt: skip
-                _add4(out, z, n, row, a0, a1, a2, a3)
-                _add4(out, z, t, row, a4, a5, a6, a7)
+                v1, v3, v5, v7 = v[n + e, z], v[n + row + e, z], v[t + e, z], v[t + row + e, z]
+                q = U(27 * ((k * shape[1] + j) * shape[0] + i))
+                a0, a1, a2, a3, a4, a5, a6, a7 = _gram_cell_3d(m, q, v0, v1, v2, v3, v4, v5, v6, v7)
+                _add_edge_3d(out, z, n, row, plane, r0 + a0, r1 + a2, r2 + a4, r3 + a6)
+                r0, r1, r2, r3 = a1, a3, a5, a7
+                v0, v2, v4, v6 = v1, v3, v5, v7
+                n += e
+            _add_edge_3d(out, z, n, row, plane, r0, r1, r2, r3)
 
 
 @hot
 def cross_1d(moments, shape, layout, inverse_h, values, out, divergence):
     """out += ΦᵀD values: the gradient of one column, which in 1D is the divergence too."""
     m, e, z = moments.reshape(-1), U(1), U(0)
+    right, v0 = 0.0, values[U(layout[0]), z]
     for i in range(shape[0]):
         q, n = U(3 * i), U(layout[0] + i)
-        x = inverse_h[0] * (values[n + e, z] - values[n, z])
-        out[n, z] += (m[q] + m[q + e]) * x
-        out[n + e, z] += (m[q + e] + m[q + U(2)]) * x
+        v1 = values[n + e, z]
+        x = inverse_h[0] * (v1 - v0)
+        out[n, z] += right + (m[q] + m[q + e]) * x
+        right, v0 = (m[q + e] + m[q + U(2)]) * x, v1
+    out[U(layout[0] + shape[0]), z] += right
 
 
 @hot
@@ -195,54 +222,107 @@ def cross_2d(moments, shape, layout, inverse_h, values, out, divergence):
     """out += ΦᵀD^a values: the gradient of one column (out has two), or the divergence of two columns (out has one)."""
     m, v, row, e, z = moments.reshape(-1), values, U(layout[1]), U(1), U(0)
     rx, ry = inverse_h[0], inverse_h[1]
-    ky = U(1) if divergence else z
+    ky = e if divergence else z
     for j in range(shape[1]):
+        n = U(layout[0] + j * layout[1])
+        # r: what the cell before adds to the two nodes that it shares; v0, v2: x part at them; y0: y difference
+        r0, r1, r2, r3 = 0.0, 0.0, 0.0, 0.0
+        v0, v2, y0 = v[n, z], v[n + row, z], ry * (v[n + row, ky] - v[n, ky])
         for i in range(shape[0]):
-            n = U(layout[0] + j * layout[1] + i)
             t = n + row
-            x0, x1 = rx * (v[n + e, z] - v[n, z]), rx * (v[t + e, z] - v[t, z])
-            y0, y1 = ry * (v[t, ky] - v[n, ky]), ry * (v[t + e, ky] - v[n + e, ky])
-            g0, g1, g2, g3, f0, f1, f2, f3 = _cross_cell_2d(m, U(9 * (j * shape[0] + i)), x0, x1, y0, y1)
+            v1, v3, y1 = v[n + e, z], v[t + e, z], ry * (v[t + e, ky] - v[n + e, ky])
+            g0, g1, g2, g3, f0, f1, f2, f3 = _cross_cell_2d(
+                m, U(9 * (j * shape[0] + i)), rx * (v1 - v0), rx * (v3 - v2), y0, y1
+            )
             if divergence:
-                _add4(out, z, n, row, g0 + f0, g1 + f1, g2 + f2, g3 + f3)
+                out[n, z] += r0 + (g0 + f0)
+                out[t, z] += r1 + (g2 + f2)
+                r0, r1 = g1 + f1, g3 + f3
             else:
-                _add4(out, z, n, row, g0, g1, g2, g3)
-                _add4(out, e, n, row, f0, f1, f2, f3)
+                out[n, z] += r0 + g0
+                out[n, e] += r2 + f0
+                out[t, z] += r1 + g2
+                out[t, e] += r3 + f2
+                r0, r1, r2, r3 = g1, g3, f1, f3
+            v0, v2, y0 = v1, v3, y1
+            n += e
+        out[n, z] += r0
+        out[n + row, z] += r1
+        if not divergence:
+            out[n, e] += r2
+            out[n + row, e] += r3
+
+
+@inlined
+def _cross_cell_3d(m, q, v, n, row, plane, rx, ry, rz, kx, ky, kz):
+    """Rows of ΦᵀD^x, ΦᵀD^y and ΦᵀD^z of a cell; corners 0 to 7, x fastest: g along x, f along y, d along z."""
+    e = U(1)
+    c, t = n + row, n + plane
+    u = t + row
+    x0, x1 = rx * (v[n + e, kx] - v[n, kx]), rx * (v[c + e, kx] - v[c, kx])
+    x2, x3 = rx * (v[t + e, kx] - v[t, kx]), rx * (v[u + e, kx] - v[u, kx])
+    y0, y1 = ry * (v[c, ky] - v[n, ky]), ry * (v[c + e, ky] - v[n + e, ky])
+    y2, y3 = ry * (v[u, ky] - v[t, ky]), ry * (v[u + e, ky] - v[t + e, ky])
+    z0, z1 = rz * (v[t, kz] - v[n, kz]), rz * (v[t + e, kz] - v[n + e, kz])
+    z2, z3 = rz * (v[u, kz] - v[c, kz]), rz * (v[u + e, kz] - v[c + e, kz])
+    g0, g2, g4, g6 = _along_x(m, q, x0, x1, x2, x3)
+    g1, g3, g5, g7 = _along_x(m, q + e, x0, x1, x2, x3)
+    f0, f1, f4, f5 = _along_y(m, q, y0, y1, y2, y3)
+    f2, f3, f6, f7 = _along_y(m, q + U(3), y0, y1, y2, y3)
+    d0, d1, d2, d3 = _along_z(m, q, z0, z1, z2, z3)
+    d4, d5, d6, d7 = _along_z(m, q + U(9), z0, z1, z2, z3)
+    return (g0, g1, g2, g3, g4, g5, g6, g7, f0, f1, f2, f3, f4, f5, f6, f7, d0, d1, d2, d3, d4, d5, d6, d7)
+
+
+@hot
+def _divergence_3d(m, shape, layout, inverse_h, v, out):
+    row, plane, e, z = U(layout[1]), U(layout[2]), U(1), U(0)
+    rx, ry, rz = inverse_h[0], inverse_h[1], inverse_h[2]
+    for k in range(shape[2]):
+        for j in range(shape[1]):
+            n = U(layout[0] + k * layout[2] + j * layout[1])
+            r0, r1, r2, r3 = 0.0, 0.0, 0.0, 0.0
+            for i in range(shape[0]):
+                q = U(27 * ((k * shape[1] + j) * shape[0] + i))
+                (g0, g1, g2, g3, g4, g5, g6, g7, f0, f1, f2, f3, f4, f5, f6, f7, d0, d1, d2, d3, d4, d5, d6, d7) = (
+                    _cross_cell_3d(m, q, v, n, row, plane, rx, ry, rz, z, e, U(2))
+                )
+                _add_edge_3d(
+                    out, z, n, row, plane, r0 + (g0 + f0 + d0), r1 + (g2 + f2 + d2), r2 + (g4 + f4 + d4),
+                    r3 + (g6 + f6 + d6),
+                )  # fmt: skip
+                r0, r1, r2, r3 = g1 + f1 + d1, g3 + f3 + d3, g5 + f5 + d5, g7 + f7 + d7
+                n += e
+            _add_edge_3d(out, z, n, row, plane, r0, r1, r2, r3)
+
+
+@hot
+def _gradient_3d(m, shape, layout, inverse_h, v, out):
+    row, plane, e, z, k2 = U(layout[1]), U(layout[2]), U(1), U(0), U(2)
+    rx, ry, rz = inverse_h[0], inverse_h[1], inverse_h[2]
+    for k in range(shape[2]):
+        for j in range(shape[1]):
+            n = U(layout[0] + k * layout[2] + j * layout[1])
+            r0, r1, r2, r3, s0, s1, s2, s3, t0, t1, t2, t3 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for i in range(shape[0]):
+                q = U(27 * ((k * shape[1] + j) * shape[0] + i))
+                (g0, g1, g2, g3, g4, g5, g6, g7, f0, f1, f2, f3, f4, f5, f6, f7, d0, d1, d2, d3, d4, d5, d6, d7) = (
+                    _cross_cell_3d(m, q, v, n, row, plane, rx, ry, rz, z, z, z)
+                )
+                _add_edge_3d(out, z, n, row, plane, r0 + g0, r1 + g2, r2 + g4, r3 + g6)
+                _add_edge_3d(out, e, n, row, plane, s0 + f0, s1 + f2, s2 + f4, s3 + f6)
+                _add_edge_3d(out, k2, n, row, plane, t0 + d0, t1 + d2, t2 + d4, t3 + d6)
+                r0, r1, r2, r3, s0, s1, s2, s3, t0, t1, t2, t3 = g1, g3, g5, g7, f1, f3, f5, f7, d1, d3, d5, d7
+                n += e
+            _add_edge_3d(out, z, n, row, plane, r0, r1, r2, r3)
+            _add_edge_3d(out, e, n, row, plane, s0, s1, s2, s3)
+            _add_edge_3d(out, k2, n, row, plane, t0, t1, t2, t3)
 
 
 @hot
 def cross_3d(moments, shape, layout, inverse_h, values, out, divergence):
     """out += ΦᵀD^a values: the gradient of one column (out has three), or the divergence of three (out has one)."""
-    m, v, row, plane, e, z = moments.reshape(-1), values, U(layout[1]), U(layout[2]), U(1), U(0)
-    rx, ry, rz = inverse_h[0], inverse_h[1], inverse_h[2]
-    ky, kz = (U(1), U(2)) if divergence else (z, z)
-    for k in range(shape[2]):
-        for j in range(shape[1]):
-            for i in range(shape[0]):
-                n = U(layout[0] + k * layout[2] + j * layout[1] + i)
-                q = U(27 * ((k * shape[1] + j) * shape[0] + i))
-                c, t = n + row, n + plane
-                u = t + row
-                x0, x1 = rx * (v[n + e, z] - v[n, z]), rx * (v[c + e, z] - v[c, z])
-                x2, x3 = rx * (v[t + e, z] - v[t, z]), rx * (v[u + e, z] - v[u, z])
-                y0, y1 = ry * (v[c, ky] - v[n, ky]), ry * (v[c + e, ky] - v[n + e, ky])
-                y2, y3 = ry * (v[u, ky] - v[t, ky]), ry * (v[u + e, ky] - v[t + e, ky])
-                z0, z1 = rz * (v[t, kz] - v[n, kz]), rz * (v[t + e, kz] - v[n + e, kz])
-                z2, z3 = rz * (v[u, kz] - v[c, kz]), rz * (v[u + e, kz] - v[c + e, kz])
-                # test function at corner 0 to 7, x fastest: g along x, f along y, d along z
-                g0, g2, g4, g6 = _along_x(m, q, x0, x1, x2, x3)
-                g1, g3, g5, g7 = _along_x(m, q + e, x0, x1, x2, x3)
-                f0, f1, f4, f5 = _along_y(m, q, y0, y1, y2, y3)
-                f2, f3, f6, f7 = _along_y(m, q + U(3), y0, y1, y2, y3)
-                d0, d1, d2, d3 = _along_z(m, q, z0, z1, z2, z3)
-                d4, d5, d6, d7 = _along_z(m, q + U(9), z0, z1, z2, z3)
-                if divergence:
-                    _add4(out, z, n, row, g0 + f0 + d0, g1 + f1 + d1, g2 + f2 + d2, g3 + f3 + d3)
-                    _add4(out, z, t, row, g4 + f4 + d4, g5 + f5 + d5, g6 + f6 + d6, g7 + f7 + d7)
-                else:
-                    _add4(out, z, n, row, g0, g1, g2, g3)
-                    _add4(out, z, t, row, g4, g5, g6, g7)
-                    _add4(out, e, n, row, f0, f1, f2, f3)
-                    _add4(out, e, t, row, f4, f5, f6, f7)
-                    _add4(out, U(2), n, row, d0, d1, d2, d3)
-                    _add4(out, U(2), t, row, d4, d5, d6, d7)
+    if divergence:
+        _divergence_3d(moments.reshape(-1), shape, layout, inverse_h, values, out)
+    else:
+        _gradient_3d(moments.reshape(-1), shape, layout, inverse_h, values, out)

@@ -120,12 +120,30 @@ def add_divergence(cell, fraction, nodal, inverse_h, shape, layout, out):
 
 
 @hot
-def divide(sums, weights, out):
-    """out = sums / weights row by row; 0 where the weight is 0 (a node that no particle sees)."""
-    for n in range(out.shape[0]):
+def invert(weights, out):
+    """out = 1 / weights; 0 where the weight is 0 (a node that no particle sees)."""
+    for n in range(out.size):
         w = weights[n]
-        for k in range(out.shape[1]):
-            out[n, k] = sums[n, k] / w if w > 0.0 else 0.0
+        out[n] = 1.0 / w if w > 0.0 else 0.0
+
+
+@hot
+def scale_rows(values, factors, out):
+    """out = values times one factor a row."""
+    if values.shape[1] == 1:
+        for n in range(out.shape[0]):
+            out[n, 0] = values[n, 0] * factors[n]
+    else:
+        for n in range(out.shape[0]):
+            for k in range(out.shape[1]):
+                out[n, k] = values[n, k] * factors[n]
+
+
+@hot
+def scale_changed(values, rate, change, factors, out):
+    """out = (values + rate change) times one factor a row, column 0."""
+    for n in range(out.shape[0]):
+        out[n, 0] = (values[n, 0] + rate * change[n, 0]) * factors[n]
 
 
 @hot
