@@ -48,15 +48,16 @@ def norms(error: FloatArray, total: int, comm: MPI.Comm) -> Norms:
     """Norms of errors (n,), or of the Euclidean lengths of error vectors (n, d), over `total` particles on all ranks.
 
     Sizes are taken relative to the largest, so that neither tiny nor huge errors under- or overflow when squared.
-    NaN or infinity anywhere gives NaN or infinity. Collective; two reductions.
+    One error that is not finite makes all three norms infinite. Collective; two reductions.
     """
     size = np.abs(error)
     if error.ndim == 2:
         longest = size.max(axis=1, initial=0.0)
         scale = np.where((longest > 0) & np.isfinite(longest), longest, 1.0)
-        size = longest * np.sqrt(np.sum((size / scale[:, None]) ** 2, axis=1))
-    # a NaN does not survive every MPI's MAX: it is sent as infinity, and comes back out of the sums
-    largest = comm.allreduce(float(np.nan_to_num(size, nan=np.inf).max(initial=0.0)), op=MPI.MAX)
+        with np.errstate(invalid="ignore"):  # of infinities; they are found below
+            size = longest * np.sqrt(np.sum((size / scale[:, None]) ** 2, axis=1))
+    # what MAX makes of a NaN differs between MPIs: infinity stands in for it
+    largest = comm.allreduce(float(np.where(np.isnan(size), np.inf, size).max(initial=0.0)), op=MPI.MAX)
     if largest == 0.0 or not np.isfinite(largest):
         return Norms(largest, largest, largest)
     relative = size / largest

@@ -29,6 +29,12 @@ ON_NODE = 1e-10
 """A particle within this many cells of a node counts as on it, so that rounding never decides the side."""
 
 
+def columns_of(values: npt.ArrayLike) -> FloatArray:
+    """Values (n,) or (n, k) as a C-contiguous array (n, k), copied only where they are not one."""
+    array = np.asarray(values, dtype=np.float64)
+    return np.ascontiguousarray(array if array.ndim == 2 else array[:, None])
+
+
 class Grid:
     """A periodic grid of `cells` cells over a box of size `length`, split over the ranks of `comm`.
 
@@ -86,7 +92,6 @@ class Grid:
         self.quantum = tuple(2.0 ** (math.frexp(n)[1] - 52) for n in self.cells)
         # beyond some hundred thousand cells an axis the quantum itself is coarser
         self.tolerance = tuple(max(ON_NODE, 2.0 * q) for q in self.quantum)
-        self.top = tuple(n - t for n, t in zip(self.cells, self.tolerance, strict=True))
         blocks = process_grid(self.cells, self.size)
         if blocks is None:
             raise ValueError(f"{self.size} ranks cannot share {self.cells} cells with at least one each")
@@ -209,9 +214,13 @@ class Grid:
         return self.wrapped(np.asarray(position) / np.array(self.h))
 
     def wrapped(self, coordinate: FloatArray) -> FloatArray:
-        """Coordinates (n, d) in the box and on its quantum; within rounding of the upper face they become 0. Local."""
-        inside = self.rounded(np.mod(coordinate, np.array(self.cells)))
-        return np.where(inside >= np.array(self.top), 0.0, inside)
+        """Coordinates (n, d) in the box and on its quantum: -tolerance <= x < cells - tolerance. Local.
+
+        A particle that counts as on the upper face is on node 0, and has a coordinate just below 0.
+        """
+        period = np.array(self.cells, dtype=np.float64)
+        inside = self.rounded(np.mod(coordinate, period))
+        return np.where(inside >= period - np.array(self.tolerance), inside - period, inside)
 
     def rounded(self, coordinate: FloatArray) -> FloatArray:
         """Coordinates or displacements in cells, rounded to whole multiples of `quantum`. Local."""

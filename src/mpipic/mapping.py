@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from mpipic import migration
-from mpipic.grid import FloatArray, Grid
+from mpipic.grid import FloatArray, Grid, columns_of
 from mpipic.kernels import BY_DIMENSION, generic
 from mpipic.particles import IntArray, Particles, locate
 
@@ -37,12 +37,6 @@ def _divide(inverse_weights: FloatArray, sums: FloatArray, out: FloatArray | Non
     else:
         generic.scale_rows(sums, inverse_weights, result)
     return result
-
-
-def _columns(values: FloatArray) -> FloatArray:
-    """(n,) or (n, k) as C-contiguous (n, k)."""
-    values = np.asarray(values, dtype=np.float64)
-    return np.ascontiguousarray(values if values.ndim == 2 else values[:, None])
 
 
 class Mapping:
@@ -83,7 +77,7 @@ class Mapping:
 
     def update(self, position: FloatArray) -> None:
         """Move the mapping to new positions. Collective; one pass and one sum and fill of the halo."""
-        self._cell, self._fraction = locate(self.grid, self.grid.coordinate_of(_columns(position)))
+        self._cell, self._fraction = locate(self.grid, self.grid.coordinate_of(columns_of(position)))
         self.weights = self.sums(np.ones(len(self._cell)))
         self._inverse = np.empty_like(self.weights)
         generic.invert(self.weights, self._inverse)
@@ -93,7 +87,7 @@ class Mapping:
 
         Σ over own nodes of all ranks = Σ over particles. Collective; one halo sum, one fill.
         """
-        rows = _columns(values)
+        rows = columns_of(values)
         out = self.grid.zeros(rows.shape[1])
         generic.add_sums(self._cell, self._fraction, rows, *self._geometry, out)
         self.grid.sum_halo(out)
@@ -110,7 +104,7 @@ class Mapping:
 
     def g2p(self, nodal: FloatArray) -> FloatArray:
         """Φ nodal: interpolation, (local_nodes, ...) to (n, ...). Keeps constants and linear functions. Local."""
-        rows = _columns(nodal)
+        rows = columns_of(nodal)
         out = np.zeros((len(self._cell), rows.shape[1]))
         generic.add_interpolated(self._cell, self._fraction, rows, *self._geometry, out)
         return out.reshape((-1, *np.shape(nodal)[1:]))
@@ -124,7 +118,7 @@ class Mapping:
     def divergence(self, nodal: FloatArray) -> FloatArray:
         """Σ_a D^a nodal_a: (local_nodes, d) to (n,). Local."""
         out = np.zeros(len(self._cell))
-        generic.add_divergence(self._cell, self._fraction, _columns(nodal), self._inverse_h, *self._geometry, out)
+        generic.add_divergence(self._cell, self._fraction, columns_of(nodal), self._inverse_h, *self._geometry, out)
         return out
 
 
@@ -173,7 +167,7 @@ class Sweep:
         shift = tuple(grid.rounded(np.fmod(np.asarray(displacement) / np.array(grid.h), grid.cells)).tolist())
         self.moving = any(shift)
         period = tuple(map(float, grid.cells))
-        self._geometry = (grid.inverse_h, grid.tolerance, period, grid.top, shift, grid.owned_start)
+        self._geometry = (grid.inverse_h, grid.tolerance, period, shift, grid.owned_start)
         self._cells = (grid.padded_shape, grid.layout)
         self.routes = migration.Routes(grid, shift) if self.moving and grid.size > 1 else None
         self.sums = grid.zeros(grid.dim + 2)

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from mpipic.grid import FloatArray, Grid
+from mpipic.grid import FloatArray, Grid, columns_of
 from mpipic.particles import IntArray, Particles
 
 
@@ -184,10 +184,10 @@ class Placement:
 
     def to_owners(self, values: FloatArray) -> FloatArray:
         """Values (n,) or (n, k) of this rank's block, as (m,) or (m, k) in the order of `position`. Collective."""
-        rows = self._routes.exchange(values.reshape(len(values), -1), self._owner).rows
+        rows = self._routes.exchange(columns_of(values), self._owner).rows
         return rows.reshape((-1, *values.shape[1:]))
 
     def to_callers(self, values: FloatArray) -> FloatArray:
         """The way back: values (m,) or (m, k) in the order of `position`, as (n,) or (n, k). Collective."""
-        rows = self._routes.give_back(values.reshape(len(values), -1), self._delivery)
+        rows = self._routes.give_back(columns_of(values), self._delivery)
         return rows.reshape((-1, *values.shape[1:]))

@@ -65,8 +65,8 @@ class Particles:
 
     @property
     def position(self) -> FloatArray:
-        """Positions in units of length, (n, d), a copy."""
-        return self.coordinate * np.array(self.h)
+        """Positions in units of length, (n, d), a copy; what counts as on node 0 is there."""
+        return np.maximum(self.coordinate, 0.0) * np.array(self.h)
 
     @property
     def state(self) -> FloatArray:

@@ -242,7 +242,7 @@ class Simulation:
         if self.particles.count == 0:
             return (), -1.0
         size = np.abs(self.particles.field("density"))
-        worst = int(np.argmax(np.nan_to_num(size, nan=np.inf)))
+        worst = int(np.argmax(np.where(np.isnan(size), np.inf, size)))
         cell = self.grid.cell_of(self.particles.coordinate[worst : worst + 1])[0]
         return tuple(map(int, cell)), float(size[worst])
 

@@ -19,9 +19,9 @@ nodal (nodes, 1 + d), rates (two floats) : what to add. The scalar gets rates[0]
 sums (nodes, d + 2), moments (cells, 3^d) : added to; moments and, in 1D and 2D, the last column of sums only if `weigh`
     (in 3D that column is `kernels.cells.row_sums_3d`'s).
 start, stop : the range of particles.
-geometry : tuple (inverse_h, tolerance, period, top, shift, first), each a tuple of one entry per axis: cells per unit
-    length, and in cells the width of "on a node", the period, the coordinate from which a particle counts as back at
-    0, the displacement of this step, and the first cell of this rank.
+geometry : tuple (inverse_h, tolerance, period, shift, first), each a tuple of one entry per axis: cells per unit
+    length, and in cells the width of "on a node", the period, the displacement of this step, and the first cell of
+    this rank.
 shape, layout : as in `kernels.cells`.
 bounded : whether a particle can leave this rank's cells at all.
 
@@ -58,14 +58,12 @@ def _mark_outside(x, tolerance, first, size, outside):
 
 
 @exactly
-def _move(x, shift, period, top):
-    """Move by less than one period and wrap into [0, top); [top, period) counts as 0."""
+def _move(x, shift, period, tolerance):
+    """Move by less than one period and wrap into [-tolerance, period - tolerance): what is on node 0 is in cell 0."""
     for p in range(x.size):
         t = x[p] + shift
-        t -= period * np.float64(t >= top)
-        t += period * np.float64(t < 0.0)
-        # a coordinate just below 0 stays so: it is back at 0, as is one that the second line took to top
-        x[p] = t * np.float64((t > 0.0) & (t < top))
+        t -= period * np.float64(t >= period - tolerance)
+        x[p] = t + period * np.float64(t < -tolerance)
 
 
 @hot
@@ -77,7 +75,7 @@ def _find(axes, p0, count, geometry, shape, layout, node, cell, fraction):
     cell_stride = 1
     for a in range(axes.shape[0]):
         x = axes[a, p0 : p0 + count]
-        tolerance, first = geometry[1][a], np.int32(geometry[5][a])
+        tolerance, first = geometry[1][a], np.int32(geometry[4][a])
         _place(x, tolerance, first, np.int32(strides[a]), np.int32(cell_stride), node, cell, fraction[a])
         cell_stride *= shape[a]
 
@@ -85,7 +83,7 @@ def _find(axes, p0, count, geometry, shape, layout, node, cell, fraction):
 @hot
 def _move_block(axes, p0, count, geometry):
     for a in range(axes.shape[0]):
-        _move(axes[a, p0 : p0 + count], geometry[4][a], geometry[2][a], geometry[3][a])
+        _move(axes[a, p0 : p0 + count], geometry[3][a], geometry[2][a], geometry[1][a])
 
 
 @hot
@@ -94,7 +92,7 @@ def _find_leavers(axes, p0, count, geometry, shape, outside, leaving, left):
     outside[:count] = 0
     for a in range(axes.shape[0]):
         x = axes[a, p0 : p0 + count]
-        _mark_outside(x, geometry[1][a], np.int32(geometry[5][a]), np.int32(shape[a]), outside)
+        _mark_outside(x, geometry[1][a], np.int32(geometry[4][a]), np.int32(shape[a]), outside)
     for p in range(count):
         if outside[p]:
             if left < leaving.size:

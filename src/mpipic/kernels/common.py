@@ -40,7 +40,7 @@ exactly = njit(cache=True, error_model="numpy")
 
 @exactly
 def cell_and_fraction(x, tolerance):
-    """Cell that coordinate x >= 0 (in cells) lies in, and the local coordinate in [0, 1) within it; both exact.
+    """Cell that coordinate x >= -tolerance (in cells) lies in, and the local coordinate in [0, 1) within it; exact.
 
     Within `tolerance` of a node x counts as on it and belongs to the right-hand cell.
     """

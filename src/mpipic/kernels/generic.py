@@ -22,7 +22,7 @@ def locate(coordinate, tolerance, first, shape, cell, fraction):
         for a in range(coordinate.shape[1]):
             c, fraction[p, a] = cell_and_fraction(coordinate[p, a], tolerance[a])
             c -= first[a]
-            inside = inside and 0 <= c < shape[a]
+            inside = inside and coordinate[p, a] >= -tolerance[a] and 0 <= c < shape[a]
             index += c * stride
             stride *= shape[a]
         cell[p] = index if inside else -1
