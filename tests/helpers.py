@@ -6,10 +6,12 @@ import os
 import shutil
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 
-Finished = subprocess.CompletedProcess[str]
 TESTS = Path(__file__).parent
+ROOT = TESTS.parent
 
 
 def launcher(ranks: int) -> list[str]:
@@ -20,8 +22,8 @@ def launcher(ranks: int) -> list[str]:
     return [program, "-n", str(ranks)]
 
 
-def environment() -> dict[str, str]:
-    """This process's environment, without what an MPI-initialised parent leaves in it."""
+def environment(**more: str) -> dict[str, str]:
+    """This process's environment and `more`, without what an MPI-initialised parent leaves in it."""
     kept = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "OMPI_UNIVERSE", "PMIX_", "PMI_"))}
     cores = len(os.sched_getaffinity(0))
     settings = {
@@ -34,7 +36,16 @@ def environment() -> dict[str, str]:
         "MPLBACKEND": "Agg",
         "PYTHONPATH": os.pathsep.join(filter(None, [str(TESTS), kept.get("PYTHONPATH", "")])),
     }
-    return {**kept, **settings, "MPIPIC_TEST_CORES": str(cores)}
+    return {**kept, **settings, "MPIPIC_TEST_CORES": str(cores), **more}
+
+
+def start(command: list[str | Path], cwd: Path | None = None, **options: object) -> subprocess.Popen[str]:
+    """Start a command with its output in pipes and return at once; the caller must wait with a time limit."""
+    options = {"env": environment(), **options}
+    return subprocess.Popen(
+        list(map(str, command)), cwd=cwd, text=True, stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options,
+    )  # fmt: skip
 
 
 def start_ranks(ranks: int, *args: str | Path, cwd: Path | None = None) -> subprocess.Popen[str]:
@@ -42,35 +53,56 @@ def start_ranks(ranks: int, *args: str | Path, cwd: Path | None = None) -> subpr
     variables = environment()
     if ranks > int(variables["MPIPIC_TEST_CORES"]):
         variables["OMPI_MCA_rmaps_base_oversubscribe"] = "1"
-    command = [*launcher(ranks), sys.executable, *map(str, args)]
-    return subprocess.Popen(
-        command, env=variables, cwd=cwd, text=True, stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-    )  # fmt: skip
+    return start([*launcher(ranks), sys.executable, *args], cwd, env=variables)
 
 
-def run_python(ranks: int, *args: str | Path, timeout: float = 120, cwd: Path | None = None) -> Finished:
-    """Run python with `args` on that many ranks; ended, and the test failed, after `timeout` seconds."""
-    process = start_ranks(ranks, *args, cwd=cwd)
+def finish(process: subprocess.Popen[str], timeout: float) -> subprocess.CompletedProcess[str]:
+    """Wait for a process; ended, and the test failed, after `timeout` seconds."""
     try:
         out, err = process.communicate(timeout=timeout)
     except subprocess.TimeoutExpired:
-        process.kill()
-        out, err = process.communicate()
-        raise AssertionError(f"still running after {timeout} s on {ranks} ranks\n{out}\n{err}") from None
+        out, err = end(process)
+        raise AssertionError(f"still running after {timeout} s: {process.args}\n{out}\n{err}") from None
     return subprocess.CompletedProcess(process.args, process.returncode, out, err)
 
 
-def run_ranks(ranks: int, script: Path, *args: str, timeout: float = 120) -> Finished:
+def end(process: subprocess.Popen[str]) -> tuple[str, str]:
+    """End a process whatever its state: mpiexec is asked first, so that it takes its ranks along."""
+    process.terminate()
+    try:
+        return process.communicate(timeout=5)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        return process.communicate()
+
+
+def wait_until(sign: Callable[[], bool], process: subprocess.Popen[str], timeout: float = 60) -> None:
+    """Return once `sign` is true; the test fails if the process ends before, or after `timeout` seconds."""
+    deadline = time.monotonic() + timeout
+    while not sign():
+        if process.poll() is not None or time.monotonic() > deadline:
+            state = f"ended with {process.returncode}" if process.poll() is not None else f"silent for {timeout} s"
+            out, err = end(process)
+            raise AssertionError(f"{state}: {process.args}\n{out}\n{err}")
+        time.sleep(0.02)
+
+
+def run_python(
+    ranks: int, *args: str | Path, timeout: float = 120, cwd: Path | None = None
+) -> subprocess.CompletedProcess[str]:
+    """Run python with `args` on that many ranks; ended, and the test failed, after `timeout` seconds."""
+    return finish(start_ranks(ranks, *args, cwd=cwd), timeout)
+
+
+def run_ranks(ranks: int, script: Path, *args: str, timeout: float = 120) -> subprocess.CompletedProcess[str]:
     """Run a script on that many ranks."""
     return run_python(ranks, script, *args, timeout=timeout)
 
 
-def mpipic(*args: str | Path, ranks: int = 1, timeout: float = 120, cwd: Path | None = None) -> Finished:
+def mpipic(
+    *args: str | Path, ranks: int = 1, timeout: float = 120, cwd: Path | None = None
+) -> subprocess.CompletedProcess[str]:
     """Run the command line `mpipic args`; on one rank without mpiexec."""
     if ranks > 1:
         return run_python(ranks, "-m", "mpipic", *args, timeout=timeout, cwd=cwd)
-    command = [sys.executable, "-m", "mpipic", *map(str, args)]
-    return subprocess.run(
-        command, env=environment(), cwd=cwd, text=True, stdin=subprocess.DEVNULL, capture_output=True, timeout=timeout
-    )
+    return finish(start([sys.executable, "-m", "mpipic", *args], cwd), timeout)

@@ -156,7 +156,7 @@ def _draw_1d(figure: Figure, scene: Any, x: FloatArray, density: FloatArray, vel
             axes.plot(points, np.reshape(curve, -1), color=ORANGE, lw=1.2, label="exact")
         axes.set_ylabel(label)
         axes.set_ylim(*_limits(values, curve))
-    panels[0].legend(loc="upper right", markerscale=max(1.0, 4.0 / size))
+    panels[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, markerscale=max(1.0, 4.0 / size))
     panels[1].set_xlabel("position x")
     panels[1].set_xlim(0.0, length)
 
