@@ -142,6 +142,7 @@ def time_steps(dim: int, kind: str, plan: Plan, comm: MPI.Comm, triad: Triad) ->
             simulation.formulation.step()
         comm.Barrier()
         seconds.append((perf_counter() - began) / plan.steps / simulation.total)
+    simulation.close()
     shares = [(40 * dim + 16) / (s * t) for s, t in zip(seconds, triads, strict=True)]
     spent = statistics.median(seconds)
     return Timing(

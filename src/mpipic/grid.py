@@ -90,8 +90,9 @@ class Grid:
         self.h = tuple(x / n for x, n in zip(self.length, self.cells, strict=True))
         self.inverse_h = tuple(n / x for x, n in zip(self.length, self.cells, strict=True))
         self.quantum = tuple(2.0 ** (math.frexp(n)[1] - 52) for n in self.cells)
-        # beyond some hundred thousand cells an axis the quantum itself is coarser
-        self.tolerance = tuple(max(ON_NODE, 2.0 * q) for q in self.quantum)
+        # A whole number of quanta, so that no comparison with it rounds; beyond some hundred thousand cells an axis
+        # the quantum itself is coarser than ON_NODE.
+        self.tolerance = tuple(max(round(ON_NODE / q), 2) * q for q in self.quantum)
         blocks = process_grid(self.cells, self.size)
         if blocks is None:
             raise ValueError(f"{self.size} ranks cannot share {self.cells} cells with at least one each")
@@ -219,10 +220,12 @@ class Grid:
         A particle that counts as on the upper face is on node 0, and has a coordinate just below 0.
         """
         period = np.array(self.cells, dtype=np.float64)
-        inside = self.rounded(np.mod(coordinate, period))
+        with np.errstate(invalid="ignore"):
+            inside = self.rounded(np.mod(coordinate, period))
         return np.where(inside >= period - np.array(self.tolerance), inside - period, inside)
 
     def rounded(self, coordinate: FloatArray) -> FloatArray:
         """Coordinates or displacements in cells, rounded to whole multiples of `quantum`. Local."""
         quantum = np.array(self.quantum)
-        return np.asarray(np.rint(np.asarray(coordinate) / quantum) * quantum)
+        with np.errstate(invalid="ignore"):  # infinities become NaN, and are refused where cells are looked up
+            return np.asarray(np.rint(np.asarray(coordinate) / quantum) * quantum)

@@ -222,6 +222,11 @@ class Sweep:
         self._phase("nodes")
         return sums
 
+    def close(self) -> None:
+        """Give the communicator of the routes back to MPI; no `advance` after this. Collective."""
+        if self.routes is not None:
+            self.routes.free()
+
     @property
     def nbytes(self) -> int:
         """Bytes of the nodal sums, the pair moments and the list of leavers."""

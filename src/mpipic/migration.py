@@ -1,8 +1,8 @@
 """Particles on their way to the rank that owns their cell.
 
-One mechanism, MPI's neighbourhood collectives on a graph of ranks, with two graphs: all ranks with all (any journey;
-used to place new particles), and for particles that all move by the same displacement only those ranks whose blocks
-the displaced block meets: at most 2^d of them however many ranks there are and however far the journey goes, on equal
+One mechanism on two graphs of ranks: all with all (any journey; used to place new particles), and for particles that
+all move by the same displacement, by MPI's neighbourhood collectives, only those ranks whose blocks the displaced block
+meets: at most 2^d of them however many ranks there are and however far the journey goes, on equal
 blocks.
 """
 
@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -51,14 +52,16 @@ class Routes:
 
     def __init__(self, grid: Grid, displacement: Sequence[float] | None = None) -> None:
         self.grid = grid
+        self.comm: Any = MPI.Intracomm(grid.comm)
+        self.everywhere = displacement is None
         if displacement is None:
             self.destinations = self.sources = list(range(grid.size))
         else:
             self.destinations = _ranks_met(grid, displacement, +1)
             self.sources = _ranks_met(grid, displacement, -1)
+            self.comm = self.comm.Create_dist_graph_adjacent(self.sources, self.destinations)
         self._slot = np.full(grid.size, -1)
         self._slot[self.destinations] = np.arange(len(self.destinations))
-        self.comm = MPI.Intracomm(grid.comm).Create_dist_graph_adjacent(self.sources, self.destinations)
 
     def exchange(self, rows: FloatArray, owner: IntArray) -> Delivery:
         """Send each row (n, k) to the rank that `owner` (n,) names.
@@ -73,7 +76,7 @@ class Routes:
         order = np.argsort(slot, kind="stable")
         outgoing = np.bincount(slot, minlength=len(self.destinations)).astype(np.int64)
         incoming = np.empty(len(self.sources), dtype=np.int64)
-        self.comm.Neighbor_alltoall(outgoing, incoming)
+        (self.comm.Alltoall if self.everywhere else self.comm.Neighbor_alltoall)(outgoing, incoming)
         return Delivery(self._send(rows[order], outgoing, incoming), order, outgoing, incoming)
 
     def give_back(self, rows: FloatArray, delivery: Delivery) -> FloatArray:
@@ -90,17 +93,17 @@ class Routes:
         rows = np.ascontiguousarray(rows)
         received = np.empty((int(incoming.sum()), rows.shape[1]))
         item = MPI.DOUBLE.Create_contiguous(rows.shape[1]).Commit()
+        send = self.comm.Alltoallv if self.everywhere else self.comm.Neighbor_alltoallv
         try:
-            self.comm.Neighbor_alltoallv(
-                [rows, outgoing.astype(np.intc), item], [received, incoming.astype(np.intc), item]
-            )
+            send([rows, outgoing.astype(np.intc), item], [received, incoming.astype(np.intc), item])
         finally:
             item.Free()
         return received
 
     def free(self) -> None:
-        """Give the communicator back to MPI. Collective."""
-        self.comm.Free()
+        """Give back to MPI the communicator that a displacement has of its own. Collective."""
+        if not self.everywhere:
+            self.comm.Free()
 
 
 def _ranks_met(grid: Grid, displacement: Sequence[float], sign: int) -> list[int]:

@@ -94,6 +94,7 @@ def run(scene: Scene, comm: MPI.Comm, output: Path | None, overwrite: bool, cons
     console.phase_table(_at_least_a_millisecond(phases.seconds), perf_counter() - began)
     console.message(f"results in {path}")
     stop.release()
+    simulation.close()
     return EXIT_CODES[outcome.status]
 
 

@@ -125,6 +125,10 @@ class Simulation:
         """Time reached: step times dt, not a running sum."""
         return self.step * self.scene.dt
 
+    def close(self) -> None:
+        """Give communicators back to MPI, for programs that build many simulations. Collective."""
+        self.sweep.close()
+
     def resident_bytes(self) -> int:
         """Bytes of this rank's arrays of particles and nodes that live as long as the run. Local."""
         return self.particles.nbytes + self.sweep.nbytes + self.formulation.nbytes
@@ -154,10 +158,8 @@ class Simulation:
             coordinate = grid.wrapped(drawn)
             state = np.zeros((len(ids), 1 + grid.dim))
         if grid.size > 1:
-            routes = Routes(grid)
             rows = np.concatenate([coordinate, state, ids.view(np.float64)[:, None]], axis=1)
-            rows = routes.exchange(rows, grid.owner_of(coordinate)).rows
-            routes.free()
+            rows = Routes(grid).exchange(rows, grid.owner_of(coordinate)).rows
             coordinate, state = rows[:, : grid.dim], rows[:, grid.dim : -1]
             ids = np.ascontiguousarray(rows[:, -1]).view(np.int64)
         particles.append(coordinate, state, ids)
@@ -202,7 +204,7 @@ class Simulation:
         steps, output = self.scene.time.steps, self.scene.output
         reports = {*output.report_at, steps}
         snapshots = set(range(0, steps + 1, output.every)) if output.every else set()
-        monitored = set(range(0, steps + 1, max(1, steps // MONITORED)))
+        monitored = set(range(0, steps + 1, max(1, -(-steps // MONITORED))))
         due = reports | snapshots | monitored
         last, next_check, since = 0, 0, perf_counter()
         while True:

@@ -1,0 +1,71 @@
+"""Claims about what is left out: a library that a scene does not need is not imported."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from helpers import TESTS, finish, run_ranks, start
+
+MODULES = TESTS / "parallel" / "modules_helpers.py"
+PAPER = str(TESTS.parent / "configs" / "paper.toml")
+
+
+def modules(folder: Path, ranks: int, *arguments: str) -> list[set[str]]:
+    """What each rank has imported after `mpipic arguments`."""
+    place = folder / "modules"
+    place.mkdir()
+    if ranks == 1:
+        ended = finish(start([sys.executable, MODULES, place, *arguments], folder), 90)
+    else:
+        ended = run_ranks(ranks, MODULES, str(place), *arguments, timeout=90)
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    return [set((place / str(rank)).read_text().split()) for rank in range(ranks)]
+
+
+def run(folder: Path, ranks: int, *more: str) -> list[set[str]]:
+    return modules(folder, ranks, "run", PAPER, "--output", str(folder / "out"), *more)
+
+
+def test_the_paper_scene_imports_neither_slepc_nor_h5py_nor_with_no_plots_matplotlib(tmp_path: Path) -> None:
+    (found,) = run(tmp_path, 1, "--no-plots")
+    assert {"numpy", "mpi4py", "petsc4py", "numba", "rich"} <= found
+    assert found.isdisjoint({"slepc4py", "h5py", "matplotlib", "pandas"})
+
+
+@pytest.mark.mpi
+def test_pictures_and_words_are_rank_0s_and_snapshots_bring_in_h5py(tmp_path: Path) -> None:
+    more = ["--set", "output.every=2", "--set", "time.steps=4", "--set", "output.report_at=[]"]
+    first, second = run(tmp_path, 2, *more)
+    assert {"rich", "matplotlib", "h5py"} <= first
+    assert "h5py" in second and second.isdisjoint({"rich", "matplotlib", "slepc4py"})
+
+
+@pytest.mark.mpi
+def test_check_imports_nothing_that_only_a_run_needs(tmp_path: Path) -> None:
+    first, second = modules(tmp_path, 2, "check", PAPER)
+    for found in (first, second):
+        assert "mpi4py" in found and found.isdisjoint({"h5py", "matplotlib", "slepc4py"})
+    assert "rich" in first and "rich" not in second
+
+
+def test_the_package_itself_imports_neither_mpi_nor_numpy() -> None:
+    code = "import mpipic, sys; print(mpipic.__version__, *sorted(sys.modules))"
+    ended = subprocess.run([sys.executable, "-c", code], text=True, capture_output=True, timeout=30, check=True)
+    version, *names = ended.stdout.split()
+    assert version.count(".") == 2 and "mpipic" in names
+    assert {name.split(".")[0] for name in names}.isdisjoint({"mpi4py", "numpy", "petsc4py", "numba", "typer", "h5py"})
+
+
+def test_looking_at_a_scene_starts_no_mpi() -> None:
+    code = "import sys; from mpipic import Scene; Scene.load(None); print(*sys.modules)"
+    ended = subprocess.run([sys.executable, "-c", code], text=True, capture_output=True, timeout=30, check=True)
+    assert {name.split(".")[0] for name in ended.stdout.split()}.isdisjoint({"mpi4py", "petsc4py", "numba", "numpy"})
+
+
+def test_help_starts_no_mpi(tmp_path: Path) -> None:
+    (found,) = modules(tmp_path, 1, "--help")
+    assert found.isdisjoint({"mpi4py", "petsc4py", "numba", "h5py"})

@@ -1,0 +1,169 @@
+"""The method in plain NumPy, as dense matrices built straight from the definitions: what the package is held to.
+
+Nothing here uses the package. Particles p, nodes i of a periodic grid of spacing h_a, linear basis:
+
+    φ_i(x) = Π_a Σ_k max(0, 1 - |x_a/h_a - i_a - k N_a|),    Φ_pi = φ_i(x_p),    D^a_pi = ∂φ_i/∂x_a (x_p),
+    d = Φᵀ1,    S = diag(d)⁻¹ Φᵀ (rows of nodes that no particle sees are zero),    G = ΦᵀΦ.
+
+A particle on a node, or less than 1e-10 cells to its left, takes its slopes from the cell to the right of the node.
+Nodes are numbered as an array of shape `cells` in C order: the last axis runs fastest.
+"""
+
+from __future__ import annotations
+
+from functools import reduce
+
+import numpy as np
+
+ON_NODE = 1e-10
+
+
+def hat_matrices(n, h, x):
+    """Values and slopes of the n periodic hat functions of one axis at positions x: two (particles, n) arrays."""
+    cells = np.asarray(x, dtype=float)[:, None] / h
+    left = np.floor(cells + ON_NODE)
+    inside = np.maximum(cells - left, 0.0)
+    left = np.mod(left, n)
+    cells, node = left + inside, np.arange(n)
+    images = [node + k * n for k in (-1, 0, 1)]
+    values = sum(np.maximum(0.0, 1.0 - np.abs(cells - i)) for i in images)
+    slopes = sum((left == i - 1).astype(float) - (left == i) for i in images) / h
+    return values, slopes
+
+
+def tensor(factors):
+    """Row by row the tensor product of (particles, n_a) arrays, last axis fastest: (particles, Π n_a)."""
+    return reduce(lambda a, b: (a[:, :, None] * b[:, None, :]).reshape(len(a), -1), factors)
+
+
+class Dense:
+    """Φ, D^a, d, S and G at positions (n, d) in the box."""
+
+    def __init__(self, cells, length, position):
+        position = np.asarray(position, dtype=float).reshape(-1, len(cells))
+        axes = [hat_matrices(n, box / n, x) for n, box, x in zip(cells, length, position.T)]
+        self.phi = tensor([values for values, _ in axes])
+        self.D = [
+            tensor([slopes if b == a else values for b, (values, slopes) in enumerate(axes)]) for a in range(len(cells))
+        ]
+        self.d = self.phi.sum(axis=0)
+        self.seen = self.d > 0
+        self.S = np.zeros(self.phi.T.shape)
+        self.S[self.seen] = self.phi.T[self.seen] / self.d[self.seen, None]
+        self.G = self.phi.T @ self.phi
+
+    def gradient(self, nodal):
+        """D nodal: (m,) to (n, d)."""
+        return np.stack([D @ nodal for D in self.D], axis=1)
+
+    def divergence(self, nodal):
+        """Σ_a D^a nodal_a: (m, d) to (n,)."""
+        return sum(D @ u for D, u in zip(self.D, nodal.T))
+
+    def filter(self, kind):
+        """The filter as a matrix (n, n)."""
+        if kind == "none":
+            return np.eye(len(self.phi))
+        if kind == "local":
+            return self.phi @ self.S
+        raise AssertionError(f"write out the filter {kind} here")
+
+    def projection(self):
+        """P = Φ G⁺ Φᵀ, the orthogonal projection on what the nodes see, by singular values of Φ."""
+        u, s, _ = np.linalg.svd(self.phi, full_matrices=False)
+        u = u[:, s > 1e-10 * s[0]]
+        return u @ u.T
+
+    def null_space_share(self, q):
+        """‖(I - P) q‖ / ‖q‖."""
+        return np.linalg.norm(q - self.projection() @ q) / np.linalg.norm(q)
+
+    def euler_step(self, density, velocity, rates, kind):
+        """Formulation 2 at these positions: new density (n,) and velocity (n, d). rates = (dt ρ₀, dt c²/ρ₀)."""
+        F = self.filter(kind)
+        density = density - rates[0] * F @ self.divergence(self.S @ velocity)
+        velocity = velocity - rates[1] * F @ self.gradient(self.S @ density)
+        return density, velocity
+
+
+def run_euler(cells, length, position, density, velocity, flow, rates, kind, steps):
+    """That many steps of Formulation 2, `flow` (length a step) moving the particles: position, density, velocity."""
+    for _ in range(steps):
+        density, velocity = Dense(cells, length, position).euler_step(density, velocity, rates, kind)
+        position = np.mod(position + np.asarray(flow), length)
+    return position, density, velocity
+
+
+# ---------------------------------------------------------------- particles to try
+
+
+def _exactly(coordinate):
+    """Multiples of 2^-40 cells, which no move by a multiple of 2^-40 cells rounds."""
+    return np.floor(coordinate * 2.0**40) * 2.0**-40
+
+
+def _random(cells, rng):
+    return rng.random((4 * int(np.prod(cells)), len(cells))) * cells
+
+
+def _lattice(cells, rng, offset=0.5):
+    axes = [(np.arange(2 * n) + offset) / 2 for n in cells]
+    return np.stack([x.ravel() for x in np.meshgrid(*axes)], axis=1)
+
+
+def _jittered(cells, rng):
+    lattice = _lattice(cells, rng)
+    return np.mod(lattice + 0.2 * (2 * rng.random(lattice.shape) - 1), cells)
+
+
+def _few(cells, rng):
+    return rng.random((max(1, int(np.prod(cells)) // 6), len(cells))) * cells
+
+
+def _one_cell(cells, rng):
+    return rng.random((20, len(cells))) + np.array(cells) - 1
+
+
+PATTERNS = {
+    "random": _random,
+    "jittered": _jittered,
+    "lattice": _lattice,
+    "on nodes": lambda cells, rng: _lattice(cells, rng, offset=0.0),
+    "crowd": lambda cells, rng: rng.random((700, len(cells))) * cells,
+    "few": _few,
+    "one": lambda cells, rng: rng.random((1, len(cells))) * cells,
+    "coincident": lambda cells, rng: np.repeat(rng.random((1, len(cells))) * cells, 7, axis=0),
+    "all in one cell": _one_cell,
+}
+"""Name to function (cells, rng) -> coordinates (n, d) in cells."""
+
+
+def pattern(name, cells, length, seed=0):
+    """Positions (n, d) of a pattern, unit of length."""
+    coordinate = _exactly(PATTERNS[name](np.array(cells), np.random.default_rng(seed)))
+    return coordinate * (np.array(length) / np.array(cells))
+
+
+GRIDS = {
+    "1D": ((7,), (1.3,)),
+    "1D, one cell": ((1,), (0.7,)),
+    "1D, two cells": ((2,), (2.0,)),
+    "2D": ((5, 4), (1.0, 2.5)),
+    "2D, one cell across": ((1, 3), (0.3, 1.0)),
+    "2D, two cells by one": ((2, 1), (1.0, 1.0)),
+    "2D, aspect 1e6": ((4, 3), (1e-3, 1e3)),
+    "3D": ((3, 4, 5), (1.0, 0.8, 1.7)),
+    "3D, one and two cells": ((1, 2, 3), (1.0, 0.5, 1.2)),
+    "3D, two cells each": ((2, 2, 2), (1.0, 1.0, 3.0)),
+    "3D, aspect 1e6": ((3, 2, 4), (1e-3, 1.0, 1e3)),
+}
+"""Name to (cells, length)."""
+
+
+def close(actual, wanted, tolerance=1e-12, scale=None):
+    """Assert that arrays agree to `tolerance`, relative to the largest entry wanted or to `scale`."""
+    actual, wanted = np.asarray(actual), np.asarray(wanted)
+    assert actual.shape == wanted.shape
+    scale = np.abs(wanted).max(initial=0.0) if scale is None else scale
+    error = np.abs(actual - wanted).max(initial=0.0)
+    assert error <= tolerance * scale, f"differ by {error:.3g}, more than {tolerance:g} of {scale:.3g}"

@@ -1,0 +1,202 @@
+"""Claims about the number of ranks: it changes who holds a particle, not where the particle is or what it carries."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import h5py
+import numpy as np
+import pytest
+
+from helpers import run_ranks
+
+HELPERS = Path(__file__).with_name("simulate_helpers.py")
+TOLERANCE = 1e-11
+"""Of the largest value: a hundred steps of sums in another order stay well below."""
+
+pytestmark = pytest.mark.mpi
+
+Result = SimpleNamespace
+
+
+def moving(cells: list[int], flow: list[float], steps: int, layout: str, kind: str, *more: str) -> list[str]:
+    """Overrides of a scene of unequal box lengths in which particles cross cells, and so ranks."""
+    length = [1.0, 0.9, 1.2][: len(cells)]
+    return [
+        f"grid.cells={cells}", f"grid.length={length}", f"gas.flow={flow}", "initial.sharpness=15",
+        f"particles.layout={layout}", f"filter.kind={kind}", "time.cfl=0.2", f"time.steps={steps}", *more,
+    ]  # fmt: skip
+
+
+JITTER = "particles.jitter=0.4"
+SEED = "particles.seed=7"
+
+# name: (overrides, numbers of ranks)
+FLOWS: dict[str, tuple[list[str], tuple[int, ...]]] = {
+    "1d-lattice-local": (moving([20], [0.5], 60, "lattice", "local"), (1, 2, 3, 4)),
+    "1d-jittered-none-back": (moving([21], [-0.7], 60, "jittered", "none", JITTER, SEED), (1, 2, 3, 4)),
+    "1d-random-local-back": (moving([24], [-1.3], 60, "random", "local", "particles.per_cell=[3]"), (1, 2, 3, 4, 8)),
+    "2d-random-local": (moving([9, 8], [0.6, -0.4], 40, "random", "local", SEED), (1, 2, 3, 4, 8)),
+    "2d-jittered-none": (moving([8, 10], [-0.5, 0.3], 40, "jittered", "none", JITTER), (1, 2, 3, 4)),
+    "2d-lattice-local-one-axis": (moving([12, 12], [0.0, -0.7], 40, "lattice", "local"), (1, 2, 3, 4)),
+    "3d-jittered-local": (moving([6, 7, 8], [0.6, -0.5, -0.7], 30, "jittered", "local", JITTER), (1, 2, 3, 4)),
+    "3d-random-none": (moving([6, 6, 6], [-0.6, 0.7, 0.5], 25, "random", "none"), (1, 2, 3, 4)),
+    "3d-random-local": (moving([3, 3, 3], [-0.6, 0.7, 0.5], 25, "random", "local"), (1, 2, 3, 4, 8)),
+}
+
+LONG = ["time.dt=0.01", "time.steps=12"]
+# with two nodes an axis the filter takes nearly all of the gradient
+UNEVEN = ["particles.layout=random", "initial.profile=plane-wave", "filter.kind=none"]
+FLOWS |= {
+    # 0.43 and -1.65 of a box a step: over several ranks, and more than once around the period
+    "1d-across-ranks": (["grid.cells=[24]", "gas.flow=[43.0]", *LONG], (1, 2, 3, 4)),
+    "1d-past-a-period": (["grid.cells=[24]", "gas.flow=[-165.0]", *LONG], (1, 2, 3, 4)),
+    "2d-past-a-period": (
+        ["grid.cells=[8, 9]", "gas.flow=[-237.0, 141.0]", "particles.layout=random", "initial.sharpness=15", *LONG],
+        (1, 2, 3, 4),
+    ),
+    "3d-across-ranks": (
+        ["grid.cells=[6, 5, 4]", "gas.flow=[61.0, -33.0, 129.0]", "initial.sharpness=15", *LONG],
+        (1, 2, 3, 4, 8),
+    ),
+    "a-cell-a-rank": (["grid.cells=[4]", "gas.flow=[3.0]", "initial.sharpness=9", *LONG], (1, 2, 3, 4)),
+    "ranks-of-one-and-two-cells": (["grid.cells=[5]", "gas.flow=[-3.0]", "initial.sharpness=9", *LONG], (1, 2, 3, 4)),
+    "a-cell-a-rank-in-2d": (["grid.cells=[2, 2]", "gas.flow=[3.0, -2.0]", *UNEVEN, *LONG], (1, 2, 4)),
+    "a-cell-a-rank-in-3d": (["grid.cells=[2, 2, 2]", "gas.flow=[3.0, -2.0, 4.0]", *UNEVEN, *LONG], (1, 2, 4, 8)),
+    "an-axis-of-one-cell": (["grid.cells=[1, 6]", "gas.flow=[3.0, 2.0]", "initial.sharpness=5", *LONG], (1, 2, 3, 4)),
+}
+
+STILL: dict[str, tuple[list[str], tuple[int, ...]]] = {
+    "still-1d-random": (moving([16], [0.0], 50, "random", "local"), (1, 2, 3, 4)),
+    "still-2d-jittered": (moving([8, 9], [0.0, 0.0], 40, "jittered", "none", JITTER), (1, 2, 3, 4)),
+}
+
+CLUSTERS: dict[str, tuple[list[str], int, list[float]]] = {
+    # name: (overrides, particles, and the part of the box that they fill at first)
+    "one-corner-1d": (["grid.cells=[16]", "gas.flow=[2.0]"], 40, [0.1]),
+    "one-corner-2d": (["grid.cells=[8, 8]", "gas.flow=[1.7, -1.1]"], 60, [0.2, 0.15]),
+    "one-corner-3d": (["grid.cells=[4, 4, 4]", "gas.flow=[-2.1, 1.3, 1.9]"], 60, [0.2, 0.2, 0.2]),
+    "fewer-particles-than-ranks": (["grid.cells=[8]", "gas.flow=[5.0]"], 2, [1.0]),
+    "a-single-particle": (["grid.cells=[3, 3]", "gas.flow=[5.0, -4.0]"], 1, [1.0, 1.0]),
+}
+
+
+def write_cluster(path: Path, count: int, box: list[float]) -> None:
+    rng = np.random.default_rng(5)
+    dim = len(box)
+    with h5py.File(path, "w") as file:
+        file["position"] = rng.random((count, dim)) * box
+        file["density"] = rng.standard_normal(count)
+        file["velocity"] = rng.standard_normal((count, dim))
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, int], Result]:
+    """Results by case and number of ranks; each number of ranks is started once, with all its cases."""
+    folder = tmp_path_factory.mktemp("simulations")
+    cases = {**FLOWS, **STILL}
+    for name, (overrides, count, box) in CLUSTERS.items():
+        file = folder / f"{name}.h5"
+        write_cluster(file, count, box)
+        source = ["particles.layout=file", f"particles.path={file}", "initial.profile=file", "filter.kind=local"]
+        cases[name] = ([*source, *overrides, "time.dt=0.01", "time.steps=50", "time.blow_up=1e6"], (1, 2, 3, 4))
+    started: set[int] = set()
+
+    def result(name: str, ranks: int) -> Result:
+        place = folder / str(ranks)
+        if ranks not in started:
+            started.add(ranks)
+            place.mkdir()
+            mine = {case: overrides for case, (overrides, wanted) in cases.items() if ranks in wanted}
+            (place / "cases.json").write_text(json.dumps(mine))
+            ended = run_ranks(ranks, HELPERS, str(place / "cases.json"), str(place), timeout=120)
+            assert ended.returncode == 0, ended.stdout + ended.stderr
+        file = place / f"{name}.npz"
+        assert file.exists(), f"the {ranks} ranks ended before this case: see the first test that failed"
+        with np.load(file) as arrays:
+            return SimpleNamespace(**arrays)
+
+    return result
+
+
+def pairs(cases: dict[str, tuple[list[str], tuple[int, ...]]]) -> list[tuple[str, int]]:
+    return [(name, ranks) for name, (_, wanted) in cases.items() for ranks in wanted if ranks > 1]
+
+
+MOVING = pairs(FLOWS)
+CLUSTERED = [(name, ranks) for name in CLUSTERS for ranks in (2, 3, 4)]
+ALL = MOVING + pairs(STILL) + CLUSTERED
+
+
+@pytest.mark.parametrize(("name", "ranks"), ALL)
+def test_particles_end_the_same_on_any_number_of_ranks(results: Callable[..., Result], name: str, ranks: int) -> None:
+    one, many = results(name, 1), results(name, ranks)
+    assert one.completed and many.completed
+    assert np.array_equal(many.coordinate_before, one.coordinate_before)
+    assert np.array_equal(many.coordinate, one.coordinate), "positions follow the same arithmetic everywhere"
+    for field in ("density", "velocity"):
+        start, expected, found = getattr(one, f"{field}_before"), getattr(one, field), getattr(many, field)
+        change, difference = float(np.abs(expected - start).max()), float(np.abs(found - expected).max())
+        assert change > 1e-3 * float(np.abs(one.density).max()) or len(one.ids) == 1, "nothing happened"
+        assert difference <= TOLERANCE * float(np.abs(expected).max()), field
+
+
+@pytest.mark.parametrize(("name", "ranks"), ALL)
+def test_no_particle_is_lost_doubled_or_misplaced(results: Callable[..., Result], name: str, ranks: int) -> None:
+    many = results(name, ranks)
+    total = len(many.ids_before)
+    assert np.array_equal(many.ids_before, np.arange(total))
+    assert np.array_equal(many.ids, np.arange(total))
+    assert np.array_equal(many.owner, many.rank) and np.array_equal(many.owner_before, many.rank_before)
+    assert many.counts.shape[0] == ranks and np.all(many.counts.sum(axis=0) == total), "at every step"
+
+
+@pytest.mark.parametrize(("name", "ranks"), MOVING + CLUSTERED)
+def test_particles_changed_rank_and_were_counted(results: Callable[..., Result], name: str, ranks: int) -> None:
+    many = results(name, ranks)
+    changed = np.count_nonzero(many.rank != many.rank_before)
+    journeys = many.migrated[:, -1].sum()
+    total = len(many.ids)
+    # a cluster may be back where it began
+    assert journeys >= max(changed, 1) and (changed > 0 or name in CLUSTERS)
+    if total > 2:
+        assert journeys > total / 8, "too few to trust the comparison"
+    if name in FLOWS:
+        assert np.all(many.migrated[:, -1] > 0), "every rank was sent some"
+
+
+@pytest.mark.parametrize("ranks", [2, 3, 4])
+@pytest.mark.parametrize("name", STILL)
+def test_without_flow_nothing_moves(results: Callable[..., Result], name: str, ranks: int) -> None:
+    many = results(name, ranks)
+    assert np.array_equal(many.coordinate, many.coordinate_before) and not many.migrated.any()
+
+
+@pytest.mark.parametrize("name", FLOWS)
+def test_particles_travel_with_the_flow_around_the_period(results: Callable[..., Result], name: str) -> None:
+    ranks = max(FLOWS[name][1])
+    many = results(name, ranks)
+    expected = np.mod(many.position_before + many.moved, many.length)
+    distance = np.abs(many.position - expected)
+    assert np.all(np.minimum(distance, many.length - distance) < 1e-11 * (1 + np.abs(many.moved)))
+    assert np.all((many.position >= 0) & (many.position < many.length))
+    wrapped = np.floor((many.position_before + many.moved) / many.length).any(axis=1)
+    assert wrapped.any() and len(set(many.rank[wrapped])) > 1, "the period must have been crossed"
+
+
+def test_every_axis_is_split_in_2d_and_3d(results: Callable[..., Result]) -> None:
+    assert results("2d-random-local", 8).blocks.tolist() == [4, 2]
+    assert results("3d-random-local", 8).blocks.tolist() == [2, 2, 2]
+    assert results("a-cell-a-rank-in-3d", 8).blocks.tolist() == [2, 2, 2]
+
+
+@pytest.mark.parametrize("name", [name for name in CLUSTERS if name.startswith("one-corner")])
+def test_a_cluster_leaves_ranks_empty_and_fills_others_later(results: Callable[..., Result], name: str) -> None:
+    many = results(name, 4)
+    empty = many.counts == 0
+    assert len(set(many.rank_before)) < 4, "some ranks must start empty"
+    assert np.all(empty.any(axis=1)), "every rank is empty at some time"
+    assert not empty.all(axis=1).any(), "and holds particles at another"

@@ -1,0 +1,52 @@
+"""The numbers that the reference scene and its siblings promise, to every digit printed."""
+
+import pytest
+
+from scenes import run_scene, scene_of
+
+LOCAL = {100: "3.6228e-03", 600: "1.4035e-02", 700: "1.5562e-02", 1000: "2.2561e-02", 5000: "8.8728e-02"}
+
+
+@pytest.fixture(scope="module")
+def filtered():
+    return run_scene(scene_of(time={"steps": 5000}, output={"report_at": list(LOCAL)}))
+
+
+@pytest.fixture(scope="module")
+def unfiltered():
+    return run_scene(scene_of(filter={"kind": "none"}, output={"report_at": [100, 600, 700]}))
+
+
+def l2(run, step):
+    return run[2].errors[step].density.l2
+
+
+def test_the_local_filter_completes_5000_steps(filtered):
+    _, outcome, _ = filtered
+    assert (outcome.status, outcome.step) == ("completed", 5000)
+
+
+@pytest.mark.parametrize("step", LOCAL)
+def test_the_local_filter_gives_the_errors_of_the_table(filtered, step):
+    assert f"{l2(filtered, step):.4e}" == LOCAL[step]
+
+
+def test_without_a_filter_the_error_is_that_of_the_table_while_noise_is_small(unfiltered):
+    assert f"{l2(unfiltered, 100):.4e}" == "5.3581e-03"
+    assert f"{l2(unfiltered, 600):.2e}" == "1.09e-02"
+
+
+def test_without_a_filter_noise_takes_over_by_step_700(unfiltered):
+    """It grows from rounding, by e^5.3 in a hundred steps: how large it is differs between machines."""
+    assert 3 * l2(unfiltered, 600) < l2(unfiltered, 700) < 1.0
+
+
+def test_without_a_filter_the_run_ends_unstable_before_step_1000(unfiltered):
+    simulation, outcome, _ = unfiltered
+    assert outcome.status == "unstable" and 700 < outcome.step < 1000
+    assert outcome.blow_up.step == outcome.step and outcome.blow_up.value > simulation.limit
+    assert 0 <= outcome.blow_up.cell[0] < 100
+
+
+def test_the_filter_costs_accuracy_later_and_gains_some_early(filtered, unfiltered):
+    assert l2(filtered, 100) < l2(unfiltered, 100) and l2(filtered, 600) > l2(unfiltered, 600)

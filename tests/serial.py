@@ -1,0 +1,82 @@
+"""The package's parts on one rank, and nodal arrays to and from the numbering of `dense`."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from mpi4py import MPI
+
+from mpipic.grid import Grid
+from mpipic.mapping import Sweep
+from mpipic.particles import Particles
+
+
+@cache
+def grid_of(cells, length):
+    return Grid(cells, length, MPI.COMM_SELF)
+
+
+def on_nodes(grid, nodal):
+    """Own nodes of a local array, (local_nodes, ...) to (nodes, ...), numbered as in `dense`."""
+    return grid.owned(nodal).reshape((grid.node_count, *nodal.shape[1:]))
+
+
+def ghosted(grid, values):
+    """A local array with these values (nodes,) or (nodes, k) on own nodes and their copies on ghosts."""
+    nodal = grid.zeros(values[0].size)
+    grid.owned(nodal)[...] = values.reshape((*grid.cells, -1))
+    grid.fill_halo(nodal)
+    return nodal.reshape((-1, *values.shape[1:]))
+
+
+def particles_of(grid, position, density=None, velocity=None):
+    """Particles numbered 0, 1, ... with these fields, or zeros."""
+    n = len(position)
+    state = np.zeros((n, 1 + grid.dim))
+    if density is not None:
+        state[:, 0] = density
+    if velocity is not None:
+        state[:, 1:] = velocity
+    particles = Particles(grid.h, {"density": 0, "velocity": grid.dim})
+    particles.append(grid.coordinate_of(position), state, np.arange(n))
+    return particles
+
+
+def sweep_of(grid, position, density=None, velocity=None, displacement=None):
+    particles = particles_of(grid, position, density, velocity)
+    return Sweep(grid, particles, displacement if displacement is not None else np.zeros(grid.dim))
+
+
+def by_id(particles):
+    """Position, density and velocity in the order of the ids 0, 1, ..., n - 1, each of which there must be once."""
+    order = np.argsort(particles.ids)
+    assert np.array_equal(particles.ids[order], np.arange(particles.count))
+    return particles.position[order], particles.field("density")[order], particles.field("velocity")[order]
+
+
+def gram_times(sweep, values):
+    """G times the columns of values (nodes, k)."""
+    grid = sweep.grid
+    columns = [
+        on_nodes(grid, sweep.complete(sweep.gram(ghosted(grid, v[:, None]), out=grid.zeros(1)))) for v in values.T
+    ]
+    return np.concatenate(columns, axis=1)
+
+
+def gram_matrix(sweep):
+    return gram_times(sweep, np.eye(sweep.grid.node_count))
+
+
+def gradient_sums(sweep, values):
+    """ΦᵀD^a of values (nodes,): (nodes, d)."""
+    grid = sweep.grid
+    out = sweep.gradient_sums(ghosted(grid, values[:, None]), out=grid.zeros(grid.dim))
+    return on_nodes(grid, sweep.complete(out))
+
+
+def divergence_sums(sweep, values):
+    """Σ_a ΦᵀD^a of values (nodes, d): (nodes,)."""
+    grid = sweep.grid
+    out = sweep.divergence_sums(ghosted(grid, values), out=grid.zeros(1))
+    return on_nodes(grid, sweep.complete(out))[:, 0]

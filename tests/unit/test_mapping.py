@@ -1,0 +1,172 @@
+"""Mapping against the dense matrices, on every grid and pattern of particles."""
+
+import numpy as np
+import pytest
+
+from dense import GRIDS, PATTERNS, Dense, close, pattern
+from mpipic.mapping import Mapping
+from serial import ghosted, grid_of, on_nodes
+
+every_grid = pytest.mark.parametrize("box", GRIDS)
+every_pattern = pytest.mark.parametrize("name", PATTERNS)
+every_dimension = pytest.mark.parametrize("dim", [1, 2, 3])
+
+# h is a power of two: coordinates, positions and moves are exact, in the reference too
+EXACT = {1: ((8,), (1.0,)), 2: ((4, 6), (1.0, 3.0)), 3: ((4, 3, 5), (8.0, 3.0, 0.625))}
+
+
+def case(box, name):
+    cells, length = GRIDS[box]
+    position = pattern(name, cells, length)
+    return grid_of(cells, length), position, Dense(cells, length, position)
+
+
+def values(n, *shape, seed=5):
+    return np.random.default_rng(seed).standard_normal((n, *shape))
+
+
+@every_grid
+@every_pattern
+def test_interpolation_is_the_matrix_phi(box, name):
+    grid, position, dense = case(box, name)
+    nodal = values(grid.node_count, 3)
+    close(Mapping(grid, position).g2p(ghosted(grid, nodal)), dense.phi @ nodal, scale=np.abs(nodal).max())
+
+
+@every_grid
+@every_pattern
+def test_sums_and_row_sums_are_the_transpose_of_phi(box, name):
+    grid, position, dense = case(box, name)
+    mapping, q = Mapping(grid, position), values(len(position), 2)
+    close(on_nodes(grid, mapping.sums(q)), dense.phi.T @ q, scale=np.abs(q).max() * dense.d.max())
+    close(on_nodes(grid, mapping.weights), dense.d)
+
+
+@every_grid
+@every_pattern
+def test_nodal_means_are_the_matrix_s_and_zero_where_no_particle_is(box, name):
+    grid, position, dense = case(box, name)
+    q = values(len(position), 2)
+    means = on_nodes(grid, Mapping(grid, position).p2g(q))
+    close(means, dense.S @ q, scale=np.abs(q).max())
+    assert np.all(means[~dense.seen] == 0.0)
+
+
+@every_grid
+@every_pattern
+def test_gradients_are_the_matrices_d(box, name):
+    grid, position, dense = case(box, name)
+    nodal = values(grid.node_count)
+    gradient = Mapping(grid, position).gradient(ghosted(grid, nodal))
+    for axis in range(grid.dim):
+        close(gradient[:, axis], dense.D[axis] @ nodal, scale=np.abs(nodal).max() / grid.h[axis])
+
+
+@every_grid
+@every_pattern
+def test_the_divergence_is_the_sum_of_the_matrices_d(box, name):
+    """On cells of aspect 1e6 too: the field along each axis is as large as the spacing, so that all axes count."""
+    grid, position, dense = case(box, name)
+    nodal = values(grid.node_count, grid.dim) * grid.h
+    close(Mapping(grid, position).divergence(ghosted(grid, nodal)), dense.divergence(nodal), scale=grid.dim)
+
+
+def test_few_particles_leave_nodes_empty_and_the_patterns_are_what_they_say():
+    """Guards of the tests above."""
+    _, _, few = case("3D", "few")
+    assert 0 < few.seen.sum() < few.seen.size
+    _, _, one = case("2D", "one")
+    assert one.seen.sum() == 4
+    _, position, _ = case("2D, aspect 1e6", "coincident")
+    assert len(position) == 7 and len(np.unique(position, axis=0)) == 1
+
+
+@every_grid
+@every_pattern
+def test_p2g_conserves_the_weighted_sum(box, name):
+    grid, position, _ = case(box, name)
+    mapping, q = Mapping(grid, position), values(len(position))
+    total = np.sum(on_nodes(grid, mapping.weights) * on_nodes(grid, mapping.p2g(q)))
+    assert total == pytest.approx(q.sum(), abs=1e-13 * np.abs(q).sum())
+
+
+@every_grid
+@every_pattern
+def test_p2g_keeps_constants_where_particles_are(box, name):
+    grid, position, dense = case(box, name)
+    means = on_nodes(grid, Mapping(grid, position).p2g(np.full(len(position), 3.0)))
+    close(means[dense.seen], np.full(dense.seen.sum(), 3.0), 1e-14)
+
+
+@every_dimension
+def test_one_column_and_many_are_mapped_alike(dim):
+    cells, length = EXACT[dim]
+    grid, position = grid_of(cells, length), pattern("random", cells, length)
+    mapping, q = Mapping(grid, position), values(len(position), 4)
+    nodal = mapping.p2g(q)
+    assert nodal.shape == (grid.local_nodes, 4)
+    for k in range(4):
+        alone = mapping.p2g(q[:, k])
+        assert alone.shape == (grid.local_nodes,)
+        close(nodal[:, k], alone, 1e-15)
+        close(mapping.g2p(nodal)[:, k], mapping.g2p(alone), 1e-15)
+
+
+@every_dimension
+def test_values_may_lie_in_memory_in_any_order_and_are_not_changed(dim):
+    cells, length = EXACT[dim]
+    grid, position = grid_of(cells, length), pattern("random", cells, length)
+    mapping, q = Mapping(grid, np.asfortranarray(position)), values(len(position), 3)
+    twisted = np.asfortranarray(np.repeat(q, 2, axis=0))[::2]
+    before = twisted.copy()
+    assert np.array_equal(mapping.p2g(twisted), mapping.p2g(q))
+    assert np.array_equal(twisted, before)
+    reverse = Mapping(grid, position[::-1])
+    close(reverse.p2g(q[::-1]), mapping.p2g(q), 1e-13)
+
+
+def test_whole_numbers_are_mapped_as_the_real_numbers_they_are():
+    grid = grid_of(*EXACT[1])
+    mapping = Mapping(grid, np.array([[0.3], [0.31]]))
+    close(mapping.p2g(np.array([1, 2])), mapping.p2g(np.array([1.0, 2.0])), 0.0)
+
+
+@every_dimension
+def test_an_updated_mapping_is_that_of_the_new_positions(dim):
+    cells, length = EXACT[dim]
+    grid = grid_of(cells, length)
+    first, second = (pattern("random", cells, length, seed) for seed in (1, 2))
+    moved, fresh = Mapping(grid, first), Mapping(grid, second)
+    q = values(len(second))
+    assert not np.allclose(moved.p2g(q), fresh.p2g(q))
+    moved.update(second)
+    assert np.array_equal(moved.p2g(q), fresh.p2g(q))
+    assert np.array_equal(moved.weights, fresh.weights)
+
+
+@every_dimension
+def test_positions_off_the_box_by_whole_periods_are_brought_into_it(dim):
+    cells, length = EXACT[dim]
+    grid, position = grid_of(cells, length), pattern("random", cells, length)
+    q = values(len(position))
+    close(Mapping(grid, position - 3 * np.array(length)).p2g(q), Mapping(grid, position).p2g(q), 1e-12)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_a_position_that_is_no_number_is_refused_by_name(bad):
+    grid = grid_of(*EXACT[2])
+    position = np.full((5, 2), 0.25)
+    position[3, 1] = bad
+    with np.errstate(invalid="ignore"), pytest.raises(ValueError, match="particle 3"):
+        Mapping(grid, position)
+
+
+def test_a_rank_without_particles_maps_zeros():
+    grid = grid_of(*EXACT[2])
+    mapping = Mapping(grid, np.empty((0, 2)))
+    for shape in ((0,), (0, 3)):
+        assert mapping.p2g(np.empty(shape)).shape == (grid.local_nodes, *shape[1:])
+        assert not mapping.p2g(np.empty(shape)).any()
+    assert mapping.g2p(grid.zeros(2)).shape == (0, 2)
+    assert mapping.gradient(grid.zeros(1)).shape == (0, 2)
+    assert mapping.divergence(grid.zeros(2)).shape == (0,)
