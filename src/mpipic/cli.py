@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from mpipic.runtime import one_thread_per_rank, start
+from mpipic.runtime import launched_rank, one_thread_per_rank, start
 
 one_thread_per_rank()
 
@@ -24,6 +24,7 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,
 )
 
 SceneFile = Annotated[
@@ -139,15 +140,15 @@ def bench(
 
 def main() -> None:
     """Entry point of `mpipic` and `python -m mpipic`. Help and usage errors appear once, not once a rank."""
-    rank = next((os.environ[name] for name in ("OMPI_COMM_WORLD_RANK", "PMI_RANK") if name in os.environ), "0")
-    if rank != "0":
+    first = launched_rank() == 0
+    if not first:
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115  for the life of the process
     try:
         code = app(standalone_mode=False)
     except Exception as error:
         if not hasattr(error, "exit_code"):
             raise
-        if rank == "0" and hasattr(error, "show"):
+        if first and hasattr(error, "show"):
             error.show()
         code = error.exit_code
     sys.exit(code)

@@ -35,6 +35,13 @@ def columns_of(values: npt.ArrayLike) -> FloatArray:
     return np.ascontiguousarray(array if array.ndim == 2 else array[:, None])
 
 
+def raise_together(comm: MPI.Comm, problem: str | None) -> None:
+    """Raise ValueError on all ranks with the problem of the lowest rank that has one. Collective; one reduction."""
+    first = comm.allreduce(comm.rank if problem else comm.size, op=MPI.MIN)
+    if first < comm.size:
+        raise ValueError(f"rank {first}: {comm.bcast(problem, root=first)}")
+
+
 class Grid:
     """A periodic grid of `cells` cells over a box of size `length`, split over the ranks of `comm`.
 

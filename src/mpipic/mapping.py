@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from mpipic import migration
-from mpipic.grid import FloatArray, Grid, columns_of
+from mpipic.grid import FloatArray, Grid, columns_of, raise_together
 from mpipic.kernels import BY_DIMENSION, generic
 from mpipic.particles import IntArray, Particles, locate
 
@@ -57,7 +57,7 @@ class Mapping:
     Raises
     ------
     ValueError
-        A position is not in this rank's cells; names the first.
+        A position is not in its rank's cells; names the first. Raised on all ranks together.
 
     Notes
     -----
@@ -77,7 +77,12 @@ class Mapping:
 
     def update(self, position: FloatArray) -> None:
         """Move the mapping to new positions. Collective; one pass and one sum and fill of the halo."""
-        self._cell, self._fraction = locate(self.grid, self.grid.coordinate_of(columns_of(position)))
+        problem = None
+        try:
+            self._cell, self._fraction = locate(self.grid, self.grid.coordinate_of(columns_of(position)))
+        except ValueError as error:
+            problem = str(error)
+        raise_together(self.grid.comm, problem)
         self.weights = self.sums(np.ones(len(self._cell)))
         self._inverse = np.empty_like(self.weights)
         generic.invert(self.weights, self._inverse)
@@ -169,7 +174,7 @@ class Sweep:
         period = tuple(map(float, grid.cells))
         self._geometry = (grid.inverse_h, grid.tolerance, period, shift, grid.owned_start)
         self._cells = (grid.padded_shape, grid.layout)
-        self.routes = migration.Routes(grid, shift) if self.moving and grid.size > 1 else None
+        self.routes = migration.Routes(grid, shift) if migration.can_leave(grid, shift) else None
         self.sums = grid.zeros(grid.dim + 2)
         self.weights = self.sums[:, -1]
         self._inverse = np.empty(grid.local_nodes)

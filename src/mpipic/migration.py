@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from mpipic.grid import FloatArray, Grid, columns_of
+from mpipic.grid import FloatArray, Grid, columns_of, raise_together
 from mpipic.particles import IntArray, Particles
 
 
@@ -106,24 +106,35 @@ class Routes:
             self.comm.Free()
 
 
+def can_leave(grid: Grid, displacement: Sequence[float]) -> bool:
+    """Whether particles that move by so many cells can leave the block of any rank at all. Local, the same everywhere."""
+    return any(not np.array_equal(meets, np.eye(len(meets))) for meets in _meetings(grid, displacement))
+
+
+def _meetings(grid: Grid, displacement: Sequence[float]) -> list[npt.NDArray[np.bool_]]:
+    """For each axis the matrix [i, j]: block i, moved, overlaps block j."""
+    axes = zip(grid.starts, grid.cells, displacement, strict=True)
+    return [_blocks_met(starts, cells, moved) for starts, cells, moved in axes]
+
+
 def _ranks_met(grid: Grid, displacement: Sequence[float], sign: int) -> list[int]:
     """Ranks whose cells this rank's cells meet when moved forward (+1), or that meet them when moved so (-1)."""
-    per_axis = []
     place = np.unravel_index(grid.rank, grid.blocks[::-1])[::-1]
-    for axis, own in enumerate(place):
-        meets = _blocks_met(grid.starts[axis], grid.cells[axis], displacement[axis])
-        per_axis.append(np.flatnonzero(meets[own] if sign > 0 else meets[:, own]))
+    meetings = zip(place, _meetings(grid, displacement), strict=True)
+    per_axis = [np.flatnonzero(meets[own] if sign > 0 else meets[:, own]) for own, meets in meetings]
     places = product(*per_axis[::-1])
     return sorted(int(np.ravel_multi_index(q, grid.blocks[::-1])) for q in places)
 
 
 def _blocks_met(starts: IntArray, cells: int, cells_moved: float) -> npt.NDArray[np.bool_]:
-    """Matrix [i, j]: block i of an axis, moved by so many cells around the period, overlaps block j."""
+    """Matrix [i, j]: block i of an axis, moved by so many cells around the period, overlaps block j.
+
+    Exact, as the motion is: a particle of the cells from s to e lands in the cells floor(s + moved) to
+    ceil(e + moved) - 1.
+    """
     ends = np.append(starts[1:], cells)
-    slack = 1e-6  # far above the width of "on a node", far below a cell
-    lowest = np.floor(starts + cells_moved - slack).astype(np.int64)[:, None]
-    highest = np.floor(ends + cells_moved + slack).astype(np.int64)[:, None]
-    spanned = highest - lowest
+    lowest = np.floor(starts + cells_moved).astype(np.int64)[:, None]
+    spanned = np.ceil(ends + cells_moved).astype(np.int64)[:, None] - 1 - lowest
     starts_inside = np.mod(starts[None, :] - lowest, cells) <= spanned
     holds_lowest = np.mod(lowest - starts[None, :], cells) < (ends - starts)[None, :]
     return starts_inside | holds_lowest
@@ -167,7 +178,7 @@ class Placement:
     Raises
     ------
     ValueError
-        A position is not finite or outside the box; names the first.
+        A position is not finite or outside the box; names the first. Raised on all ranks together.
 
     Notes
     -----
@@ -177,9 +188,11 @@ class Placement:
     def __init__(self, grid: Grid, position: FloatArray) -> None:
         position = np.asarray(position, dtype=np.float64).reshape(-1, grid.dim)
         bad = ~((position >= 0) & (position < np.array(grid.length))).all(axis=1)
+        problem = None
         if bad.any():
             first = int(np.argmax(bad))
-            raise ValueError(f"position {first} = {position[first].tolist()} is outside the box [0, {grid.length})")
+            problem = f"position {first} = {position[first].tolist()} is outside the box, 0 <= x < {grid.length}"
+        raise_together(grid.comm, problem)
         self._routes = Routes(grid)
         self._owner = grid.owner_of(grid.coordinate_of(position))
         self._delivery = self._routes.exchange(position, self._owner)

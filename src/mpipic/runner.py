@@ -70,12 +70,13 @@ def run(scene: Scene, comm: MPI.Comm, output: Path | None, overwrite: bool, cons
     began = perf_counter()
     phases = Phases()
     scene.check_ranks(comm.size)
-    path = output if output is not None else RunDirectory.default(scene.name, comm)
-    directory = RunDirectory(path, comm, overwrite)
-    directory.write_scene(scene)
     phases("compile")
     compile_loops(scene.dim, scene.filter.kind)
     simulation = Simulation(scene, comm, phases)
+    # only now: a scene that is refused must neither leave a directory nor clear one
+    path = output if output is not None else RunDirectory.default(scene.name, comm)
+    directory = RunDirectory(path, comm, overwrite)
+    directory.write_scene(scene)
     console.banner(banner(simulation, path))
     stop = StopRequest()
     with console.progress(scene.time.steps) as progress:

@@ -10,6 +10,7 @@ from types import FrameType, TracebackType
 from typing import Any
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+RANKS = ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "MV2_COMM_WORLD_RANK")
 ANNOUNCED = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "MV2_COMM_WORLD_SIZE")
 STOP_SIGNALS = ("SIGINT", "SIGTERM", "SIGUSR1")
 
@@ -22,11 +23,16 @@ def one_thread_per_rank() -> None:
     os.environ.setdefault("H5PY_ALWAYS_USE_MPI", "1")
 
 
+def launched_rank() -> int:
+    """This process's rank as its launcher says, 0 without one; needs no MPI."""
+    return next((int(os.environ[name]) for name in RANKS if os.environ.get(name, "").isdigit()), 0)
+
+
 def start() -> Any:
     """COMM_WORLD, after checking that it is what the launcher started. Every later exception ends all ranks.
 
-    Raises RuntimeError if the launcher announces more processes than MPI sees: the launcher of one MPI with the
-    library of another silently runs N copies of a serial program.
+    Ends with exit code 1 if the launcher announces another number of processes than MPI sees: the launcher of one MPI
+    with the library of another silently runs N copies of a serial program.
     """
     from mpi4py import MPI
 
@@ -35,10 +41,12 @@ def start() -> Any:
         announced = os.environ.get(name, "")
         if announced.isdigit() and int(announced) != comm.size:
             library = MPI.Get_library_version().splitlines()[0].strip("\0 ")
-            raise RuntimeError(
-                f"the launcher started {announced} processes ({name}), but MPI sees {comm.size}: "
-                f"this mpiexec does not belong to the MPI that mpi4py uses ({library})"
-            )
+            if launched_rank() == 0:
+                sys.stderr.write(
+                    f"error: the launcher started {announced} processes ({name}), but MPI sees {comm.size}: "
+                    f"this mpiexec does not belong to the MPI that mpi4py uses ({library})\n"
+                )
+            raise SystemExit(1)
     if comm.size > 1:
         sys.excepthook = _abort_all
     return comm

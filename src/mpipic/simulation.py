@@ -176,8 +176,7 @@ class Simulation:
         try:
             data = read_particle_file(scene.particles.path, grid.dim, grid.length, self.comm)
         except ParticleFileError as error:
-            path = scene.particles.path
-            raise SceneError([Problem("particles.path", path, text) for text in error.problems]) from None
+            raise SceneError([Problem("particles.path", None, text) for text in error.problems]) from None
         state = np.zeros((len(data["ids"]), 1 + grid.dim))
         if scene.initial.profile == "file":
             state[:, 0] = data.get("density", 0.0)
