@@ -107,7 +107,7 @@ class Routes:
 
 
 def can_leave(grid: Grid, displacement: Sequence[float]) -> bool:
-    """Whether particles that move by so many cells can leave the block of any rank at all. Local, the same everywhere."""
+    """Whether particles that move by so many cells can leave any rank's block at all. Local, the same everywhere."""
     return any(not np.array_equal(meets, np.eye(len(meets))) for meets in _meetings(grid, displacement))
 
 
