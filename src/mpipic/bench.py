@@ -173,7 +173,8 @@ def run(plan: Plan, comm: MPI.Comm, console: Console, output: Path | None = None
     """Time every case of the plan, print the table, write it as JSON if asked. Collective."""
     triad = Triad(comm)
     timings = [time_steps(dim, kind, plan, comm, triad) for dim in plan.dims for kind in plan.kinds]
-    console.table("time per particle and step", HEADER, [_row(timing) for timing in timings])
+    console.table("speed, per particle and step", SPEED, [_speed(timing) for timing in timings])
+    console.table("set-up, memory, and where a step's time goes", COST, [_cost(timing) for timing in timings])
     if output is not None and comm.rank == 0:
         content = {"plan": asdict(plan), "timings": [asdict(timing) for timing in timings], "versions": versions()}
         with replacing(output) as temporary:
@@ -181,17 +182,20 @@ def run(plan: Plan, comm: MPI.Comm, console: Console, output: Path | None = None
     return timings
 
 
-HEADER = (
-    "d", "filter", "ranks", "particles", "ns/particle-step", "from..to", "particle-steps/s", "triad GB/s", "share",
-    "set-up s", "bytes", "phases",
-)  # fmt: skip
+SPEED = ("d", "filter", "ranks", "particles", "ns/step", "from..to", "10^6 steps/s", "triad GB/s", "share")
+COST = ("d", "filter", "set-up s", "bytes a particle", "phases")
 
 
-def _row(timing: Timing) -> Sequence[str]:
-    phases = ", ".join(f"{name} {100 * share:.0f} %" for name, share in timing.phases.items() if share >= 0.005)
+def _speed(timing: Timing) -> Sequence[str]:
     return (
         str(timing.dim), timing.filter, str(timing.ranks), f"{timing.particles:.3g}",
         f"{timing.ns_per_particle_step:.2f}", f"{timing.spread[0]:.2f}..{timing.spread[1]:.2f}",
-        f"{timing.particle_steps_per_second:.3g}", f"{timing.triad_gigabytes_per_second:.1f}", f"{timing.share:.2f}",
-        f"{timing.setup_seconds:.2f}", f"{timing.bytes_per_particle:.0f}", phases,
+        f"{1e-6 * timing.particle_steps_per_second:.1f}", f"{timing.triad_gigabytes_per_second:.1f}",
+        f"{timing.share:.3f}",
     )  # fmt: skip
+
+
+def _cost(timing: Timing) -> Sequence[str]:
+    phases = ", ".join(f"{name} {100 * share:.0f} %" for name, share in timing.phases.items() if share >= 0.005)
+    setup, size = f"{timing.setup_seconds:.2f}", f"{timing.bytes_per_particle:.0f}"
+    return (str(timing.dim), timing.filter, setup, size, phases)
