@@ -41,8 +41,17 @@ BLOCK = 256
 
 
 @exactly
-def _place(x, tolerance, first, node_stride, cell_stride, node, cell, fraction):
-    """Add one axis' part to the node and cell indices, and find the local coordinate along it."""
+def _place_first(x, tolerance, first, origin, node, cell, fraction):
+    """Node and cell indices from the first axis, and the local coordinate along it."""
+    for p in range(x.size):
+        c, fraction[p] = cell_and_fraction(x[p], tolerance)
+        cell[p] = c - first
+        node[p] = c - first + origin
+
+
+@exactly
+def _place_next(x, tolerance, first, node_stride, cell_stride, node, cell, fraction):
+    """Add another axis' part to the node and cell indices, and find the local coordinate along it."""
     for p in range(x.size):
         c, fraction[p] = cell_and_fraction(x[p], tolerance)
         node[p] += node_stride * (c - first)
@@ -67,23 +76,19 @@ def _move(x, shift, period, tolerance):
 
 
 @hot
-def _find(axes, p0, count, geometry, shape, layout, node, cell, fraction):
-    """Nodes, cells and local coordinates of a block."""
-    strides = (1, layout[1], layout[2])
-    node[:count] = layout[0]
-    cell[:count] = 0
-    cell_stride = 1
+def _find(axes, p0, count, geometry, shape, layout, node, cell, fraction, moving):
+    """Nodes, cells and local coordinates of a block, after moving it if `moving`."""
+    strides, cell_stride = (1, layout[1], layout[2]), 1
     for a in range(axes.shape[0]):
         x = axes[a, p0 : p0 + count]
         tolerance, first = geometry[1][a], np.int32(geometry[4][a])
-        _place(x, tolerance, first, np.int32(strides[a]), np.int32(cell_stride), node, cell, fraction[a])
+        if moving:
+            _move(x, geometry[3][a], geometry[2][a], tolerance)
+        if a == 0:
+            _place_first(x, tolerance, first, np.int32(layout[0]), node, cell, fraction[a])
+        else:
+            _place_next(x, tolerance, first, np.int32(strides[a]), np.int32(cell_stride), node, cell, fraction[a])
         cell_stride *= shape[a]
-
-
-@hot
-def _move_block(axes, p0, count, geometry):
-    for a in range(axes.shape[0]):
-        _move(axes[a, p0 : p0 + count], geometry[3][a], geometry[2][a], geometry[1][a])
 
 
 @hot
@@ -102,11 +107,11 @@ def _find_leavers(axes, p0, count, geometry, shape, outside, leaving, left):
 
 
 @hot
-def _breaks(cell, count, before):
-    """How many cells differ from that of the particle before."""
-    total = 1 if cell[0] != before else 0
-    for p in range(1, count):
-        total += 1 if cell[p] != cell[p - 1] else 0
+def _breaks(cell, next_cell, before):
+    """How many cells differ from that of the particle before; next_cell is `cell` without its first entry."""
+    total = np.int32(cell[0] != before)
+    for p in range(next_cell.size):
+        total += np.int32(next_cell[p] != cell[p])
     return total
 
 
@@ -192,7 +197,7 @@ def deposit_1d(axes, state, sums, moments, start, stop, geometry, shape, layout,
     index, fraction = _scratch(1)
     for p0 in range(start, stop, BLOCK):
         count = min(BLOCK, stop - p0)
-        _find(axes, p0, count, geometry, shape, layout, index[0], index[1], fraction)
+        _find(axes, p0, count, geometry, shape, layout, index[0], index[1], fraction, False)
         _deposit_1d(s, o, m, p0, count, index[2], index[0], index[1], fraction[0], weigh)
     return _largest(state, start, stop)
 
@@ -208,14 +213,13 @@ def advance_1d(
     peak, breaks, left, before = 0.0, 0, 0, -1
     for p0 in range(start, stop, BLOCK):
         count = min(BLOCK, stop - p0)
-        _find(axes, p0, count, geometry, shape, layout, node, cell, fraction)
+        _find(axes, p0, count, geometry, shape, layout, node, cell, fraction, False)
         peak = _worse(peak, _update_1d(s, g, p0, count, node, f, geometry[0], rates, direct))
         if weigh:
-            _move_block(axes, p0, count, geometry)
-            _find(axes, p0, count, geometry, shape, layout, node, cell, fraction)
+            _find(axes, p0, count, geometry, shape, layout, node, cell, fraction, True)
             if bounded:
                 left = _find_leavers(axes, p0, count, geometry, shape, outside, leaving, left)
-            breaks += _breaks(cell, count, before)
+            breaks += _breaks(cell, cell[1:count], before)
             before = np.int64(cell[count - 1])
         _deposit_1d(s, o, m, p0, count, outside, node, cell, f, weigh)
     return peak, breaks, left
@@ -308,7 +312,7 @@ def deposit_2d(axes, state, sums, moments, start, stop, geometry, shape, layout,
     node, cell, outside, fx, fy = index[0], index[1], index[2], fraction[0], fraction[1]
     for p0 in range(start, stop, BLOCK):
         count = min(BLOCK, stop - p0)
-        _find(axes, p0, count, geometry, shape, layout, node, cell, fraction)
+        _find(axes, p0, count, geometry, shape, layout, node, cell, fraction, False)
         _deposit_2d(s, o, m, p0, count, outside, node, cell, fx, fy, layout[1], weigh)
     return _largest(state, start, stop)
 
@@ -324,14 +328,13 @@ def advance_2d(
     peak, breaks, left, before = 0.0, 0, 0, -1
     for p0 in range(start, stop, BLOCK):
         count = min(BLOCK, stop - p0)
-        _find(axes, p0, count, geometry, shape, layout, node, cell, fraction)
+        _find(axes, p0, count, geometry, shape, layout, node, cell, fraction, False)
         peak = _worse(peak, _update_2d(s, g, p0, count, node, fx, fy, layout[1], geometry[0], rates, direct))
         if weigh:
-            _move_block(axes, p0, count, geometry)
-            _find(axes, p0, count, geometry, shape, layout, node, cell, fraction)
+            _find(axes, p0, count, geometry, shape, layout, node, cell, fraction, True)
             if bounded:
                 left = _find_leavers(axes, p0, count, geometry, shape, outside, leaving, left)
-            breaks += _breaks(cell, count, before)
+            breaks += _breaks(cell, cell[1:count], before)
             before = np.int64(cell[count - 1])
         _deposit_2d(s, o, m, p0, count, outside, node, cell, fx, fy, layout[1], weigh)
     return peak, breaks, left
@@ -428,7 +431,7 @@ def deposit_3d(axes, state, sums, moments, start, stop, geometry, shape, layout,
     node, cell, outside = index[0], index[1], index[2]
     for p0 in range(start, stop, BLOCK):
         count = min(BLOCK, stop - p0)
-        _find(axes, p0, count, geometry, shape, layout, node, cell, f)
+        _find(axes, p0, count, geometry, shape, layout, node, cell, f, False)
         _deposit_3d(s, o, m, p0, count, outside, node, cell, f[0], f[1], f[2], layout[1], layout[2], weigh)
     return _largest(state, start, stop)
 
@@ -445,15 +448,14 @@ def advance_3d(
     peak, breaks, left, before = 0.0, 0, 0, -1
     for p0 in range(start, stop, BLOCK):
         count = min(BLOCK, stop - p0)
-        _find(axes, p0, count, geometry, shape, layout, node, cell, f)
+        _find(axes, p0, count, geometry, shape, layout, node, cell, f, False)
         other = _update_3d(s, g, p0, count, node, f[0], f[1], f[2], row, plane, geometry[0], rates, direct)
         peak = _worse(peak, other)
         if weigh:
-            _move_block(axes, p0, count, geometry)
-            _find(axes, p0, count, geometry, shape, layout, node, cell, f)
+            _find(axes, p0, count, geometry, shape, layout, node, cell, f, True)
             if bounded:
                 left = _find_leavers(axes, p0, count, geometry, shape, outside, leaving, left)
-            breaks += _breaks(cell, count, before)
+            breaks += _breaks(cell, cell[1:count], before)
             before = np.int64(cell[count - 1])
         _deposit_3d(s, o, m, p0, count, outside, node, cell, f[0], f[1], f[2], row, plane, weigh)
     return peak, breaks, left
