@@ -38,6 +38,7 @@ class Recorder:
     def record(self, step: int, time: float, peak: float, report: ErrorReport | None) -> None:
         """Keep a row of the history; at report steps also bring the files up to date."""
         self._peak = peak
+        self.progress(step, time, peak)
         row = {"step": step, "time": time, "max_density": peak, "seconds": perf_counter() - self._since}
         self.rows.append({**row, **(report.row() if report else {})})
         if report:
