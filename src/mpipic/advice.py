@@ -16,11 +16,11 @@ def particle_bytes(dim: int) -> int:
 
 
 def node_bytes(scene: Scene) -> int:
-    """Resident bytes per node: sums, row sums, pair moments of the cell, and the work arrays of the step."""
+    """Resident bytes per node: sums, row sums and their inverses, pair moments, and the work arrays of the step."""
     dim = scene.dim
     filtered = scene.filter.kind != "none"
     work = (1 + dim) + 1 + (dim if filtered else 0)
-    return 8 * ((dim + 2) + 3**dim + work)
+    return 8 * ((dim + 2) + 1 + 3**dim + work)
 
 
 def rank_bytes(scene: Scene, ranks: int, particles: int) -> float:

@@ -270,6 +270,7 @@ class Sweep:
         self._finish_sums(weigh)
         if weigh:
             self._sort_when_due(breaks)
+        self._phase("other")
 
     def _leavers(self, left: int) -> IntArray:
         if left <= len(self._leaving):

@@ -1,0 +1,29 @@
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from mpipic import advice
+from mpipic.scene import Scene
+from mpipic.simulation import Simulation
+
+
+def scene_of(cells, kind):
+    data = {"grid": {"cells": cells}, "particles": {"per_cell": [2] * len(cells)}, "filter": {"kind": kind}}
+    return Scene.from_dict({**data, "initial": {"profile": "plane-wave"}})
+
+
+@pytest.mark.parametrize("kind", ["none", "local"])
+@pytest.mark.parametrize("cells", [[20000], [150, 150], [32, 32, 32]])
+def test_the_memory_that_check_promises_is_what_a_run_takes(cells, kind):
+    scene = scene_of(cells, kind)
+    promised = advice.rank_bytes(scene, 1, scene.particle_count)
+    taken = Simulation(scene, MPI.COMM_SELF).resident_bytes()
+    ghosts = np.prod([n + 2 for n in cells]) / np.prod(cells)
+    assert promised < taken < promised * ghosts * 1.06  # ghost nodes, and the list of particles that leave
+
+
+def test_what_a_scene_leaves_out_is_said():
+    built, left_out = advice.parts(scene_of([8], "none"))
+    assert dict(built)["filter"] == "none"
+    assert {"filter", "SLEPc", "h5py", "snapshots", "y and z"} <= set(left_out)
+    assert "filter" not in advice.parts(scene_of([8], "local"))[1]
