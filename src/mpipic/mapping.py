@@ -197,6 +197,7 @@ class Sweep:
 
     def divide(self, sums: FloatArray, out: FloatArray | None = None) -> FloatArray:
         """diag(d)⁻¹ sums, 0 on nodes that no particle sees. Local."""
+        self._phase("nodes")
         return _divide(self._inverse, sums, out)
 
     def divide_changed(self, sums: FloatArray, rate: float, change: FloatArray, out: FloatArray) -> FloatArray:
