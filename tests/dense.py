@@ -66,7 +66,34 @@ class Dense:
             return np.eye(len(self.phi))
         if kind == "local":
             return self.phi @ self.S
+        if kind == "order":
+            return self.order(2)
+        if kind == "chebyshev":
+            return self.chebyshev(2)
         raise AssertionError(f"write out the filter {kind} here")
+
+    def order(self, k):
+        """Φ [Σ_{j<k} (1 - SΦ)^j] S as a matrix."""
+        smooth = self.S @ self.phi
+        terms = [np.linalg.matrix_power(np.eye(len(smooth)) - smooth, j) for j in range(k)]
+        return self.phi @ sum(terms) @ self.S
+
+    def chebyshev(self, k):
+        """Φ p(SΦ) S with 1 - λ p(λ) = (1 - λ) T(λ), T the Chebyshev polynomial scaled to [3^-d, 1] and T(0) = 1.
+
+        By the eigenvalues of the symmetric diag(d)^-1/2 G diag(d)^-1/2, which are those of SΦ.
+        """
+        low = 3.0 ** -len(self.D)
+        chebyshev = np.polynomial.chebyshev.Chebyshev.basis(k - 1)
+        scaled = lambda x: chebyshev((1.0 + low - 2.0 * x) / (1.0 - low)) / chebyshev((1.0 + low) / (1.0 - low))  # noqa: E731
+        root = np.zeros(len(self.d))
+        root[self.seen] = self.d[self.seen] ** -0.5
+        values, vectors = np.linalg.eigh(root[:, None] * self.G * root)
+        kept = values > 1e-12
+        gain = np.zeros(len(values))
+        gain[kept] = (1.0 - (1.0 - values[kept]) * scaled(values[kept])) / values[kept]
+        nodal = (vectors * gain) @ vectors.T
+        return self.phi @ (root[:, None] * nodal * root) @ self.phi.T
 
     def projection(self):
         """P = Φ G⁺ Φᵀ, the orthogonal projection on what the nodes see, by singular values of Φ."""

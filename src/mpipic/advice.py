@@ -38,7 +38,7 @@ def parts(scene: Scene) -> tuple[list[tuple[str, str]], list[str]]:
         ("particles", _particles(scene)),
         ("mapping", f"{scene.mapping.basis} basis, {scene.mapping.mass} mass, "
          + ("updated every step" if moving else "built once: the flow is 0")),
-        ("filter", f"{scene.filter.kind}: neighbours only" if filtered else "none"),
+        ("filter", _filter(scene)),
         ("step", step),
         ("initial", _initial(scene)),
     ]  # fmt: skip
@@ -69,6 +69,15 @@ def describe(scene: Scene, comm: Any) -> list[tuple[str, str]]:
         ("memory", f"{each}: {total * comm.size / count:.0f} bytes a particle in all"),
         ("per rank", f"{total / MEGA:.1f} MB of arrays, and about 150 MB of libraries"),
     ]
+
+
+def _filter(scene: Scene) -> str:
+    kind = scene.filter.kind
+    if kind == "none":
+        return "none"
+    exchanges = 1 if kind == "local" else scene.filter.order
+    order = "" if kind == "local" else f" {scene.filter.order}"
+    return f"{kind}{order}: neighbours only, {exchanges} halo exchange{'s' if exchanges > 1 else ''} an application"
 
 
 def _particles(scene: Scene) -> str:

@@ -126,7 +126,7 @@ def _per_axis(dim: int, per_cell: int) -> list[int]:
 def time_steps(dim: int, kind: str, plan: Plan, comm: MPI.Comm, triad: Triad) -> Timing:
     """Time one case. Collective."""
     scene = scene_of(dim, kind, plan)
-    compile_loops(dim, kind)
+    compile_loops(scene)
     began = perf_counter()
     simulation = Simulation(scene, comm)
     setup = perf_counter() - began

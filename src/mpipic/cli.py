@@ -10,11 +10,11 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from mpipic.runtime import launched_rank, one_thread_per_rank, start
+from mpipic.runtime import launched_rank, settle, start
 
-one_thread_per_rank()
+settle()
 
-import typer  # noqa: E402  threads must be settled before anything imports NumPy
+import typer  # noqa: E402  before anything imports NumPy
 
 if TYPE_CHECKING:
     from mpipic.scene import Scene

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from types import TracebackType
 from typing import Any
 
@@ -186,7 +187,9 @@ class Console:
             table.add_column(name, justify="left" if name in words else "right", no_wrap=True)
         for row in rows:
             table.add_row(*(Text(cell) for cell in row))
-        self._out.print(table)
+        with _reader_may_leave(self._out):
+            self._out.print(table)
+            self._out.file.flush()
 
 
 def duration(seconds: float) -> str:
@@ -215,7 +218,11 @@ def _launcher_writes_elsewhere(stderr: bool) -> bool:
 
 
 def _rich_console(file: Any, stderr: bool) -> Any:
-    from rich.console import Console as Rich
+    from rich.console import Console
+
+    class Rich(Console):
+        def on_broken_pipe(self) -> None:  # rich's own ends the process
+            _print_nowhere(self.file)
 
     console = Rich(file=file, stderr=stderr, highlight=False)
     if not console.is_terminal or (file is None and _launcher_writes_elsewhere(stderr)):
@@ -226,8 +233,24 @@ def _rich_console(file: Any, stderr: bool) -> Any:
 
 def _plain(console: Any, text: str, style: str | None = None) -> None:
     """Print text as it is; long lines are left to the terminal."""
-    console.print(text, markup=False, highlight=False, soft_wrap=True, emoji=False, style=style)
-    console.file.flush()
+    with _reader_may_leave(console):
+        console.print(text, markup=False, highlight=False, soft_wrap=True, emoji=False, style=style)
+        console.file.flush()
+
+
+@contextmanager
+def _reader_may_leave(console: Any) -> Iterator[None]:
+    """A run outlives whoever reads its output: after a broken pipe, what is printed goes nowhere."""
+    try:
+        yield
+    except BrokenPipeError:
+        _print_nowhere(console.file)
+
+
+def _print_nowhere(file: Any) -> None:
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, file.fileno())
+    os.close(nowhere)
 
 
 def _now() -> float:

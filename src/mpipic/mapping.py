@@ -20,13 +20,17 @@ from mpipic.particles import IntArray, Particles, locate
 
 
 class NodalMapping(Protocol):
-    """What a filter needs of a mapping: S's division by the row sums, on nodal arrays."""
+    """What a filter needs of a mapping: the operators S Φ is made of, on nodal arrays."""
 
     grid: Grid
     weights: FloatArray
 
     def divide(self, sums: FloatArray, out: FloatArray | None = None) -> FloatArray:
-        """Nodal means from nodal sums: diag(d)⁻¹ sums, 0 on nodes that no particle sees."""
+        """Nodal means from nodal sums: diag(d)⁻¹ sums, 0 on nodes that no particle sees. Local."""
+        ...
+
+    def apply_gram(self, nodal: FloatArray) -> FloatArray:
+        """G nodal = ΦᵀΦ nodal, column by column, right on own and ghost nodes; ghosts of `nodal` filled. Collective."""
         ...
 
 
@@ -102,6 +106,10 @@ class Mapping:
     def divide(self, sums: FloatArray, out: FloatArray | None = None) -> FloatArray:
         """diag(d)⁻¹ sums, 0 on nodes that no particle sees. Local."""
         return _divide(self._inverse, sums, out)
+
+    def apply_gram(self, nodal: FloatArray) -> FloatArray:
+        """G nodal = ΦᵀΦ nodal, by way of the particles. Collective; one halo sum, one fill."""
+        return self.sums(self.g2p(nodal))
 
     def p2g(self, values: FloatArray) -> FloatArray:
         """S values: weighted means at the nodes, (n, ...) to (local_nodes, ...). Keeps constants. Collective."""
@@ -209,6 +217,13 @@ class Sweep:
         """out += G nodal, G = ΦᵀΦ, one column; complete it afterwards. Local."""
         self._kernels.gram(self._moments, *self._cells, nodal, out)
         return out
+
+    def apply_gram(self, nodal: FloatArray) -> FloatArray:
+        """G nodal, all columns, right on own and ghost nodes. Collective; one halo sum, one fill."""
+        out = np.zeros(nodal.shape)
+        for column in range(nodal.shape[1]):
+            self.gram(nodal[:, column : column + 1], out[:, column : column + 1])
+        return self.complete(out)
 
     def gradient_sums(self, nodal: FloatArray, out: FloatArray) -> FloatArray:
         """out += ΦᵀD^a nodal: one column to d; complete it afterwards. Local."""

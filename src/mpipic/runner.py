@@ -72,7 +72,7 @@ def run(scene: Scene, comm: MPI.Comm, output: Path | None, overwrite: bool, cons
     phases = Phases()
     scene.check_ranks(comm.size)
     phases("compile")
-    compile_loops(scene.dim, scene.filter.kind)
+    compile_loops(scene)
     simulation = Simulation(scene, comm, phases)
     # only now: a scene that is refused must neither leave a directory nor clear one
     path = output if output is not None else RunDirectory.default(scene.name, comm)

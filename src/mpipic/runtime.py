@@ -15,12 +15,17 @@ ANNOUNCED = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "MV2_COMM_WORLD_SIZE")
 STOP_SIGNALS = ("SIGINT", "SIGTERM", "SIGUSR1")
 
 
-def one_thread_per_rank() -> None:
-    """Unless told otherwise, keep libraries from starting threads of their own. Call before NumPy is imported."""
+def settle() -> None:
+    """Settings that libraries read when they are imported: one thread a rank, unless told otherwise; signals are ours.
+
+    Call before NumPy is imported.
+    """
     for name in THREADS:
         os.environ.setdefault(name, "1")
     # Debian's h5py otherwise loads its serial build, also where it is asked for parallel files
     os.environ.setdefault("H5PY_ALWAYS_USE_MPI", "1")
+    # PETSc would end the run with a report of its own when a reader of the output goes away (`mpipic run | head`)
+    os.environ["PETSC_OPTIONS"] = f"{os.environ.get('PETSC_OPTIONS', '')} -no_signal_handler".strip()
 
 
 def launched_rank() -> int:

@@ -11,9 +11,8 @@ from typing import Protocol
 import numpy as np
 from mpi4py import MPI
 
-from mpipic import exact
+from mpipic import exact, filters
 from mpipic.diagnostics import ErrorReport, Exact, measure
-from mpipic.filters import FILTERS
 from mpipic.formulation import Rates, SymplecticEuler, UnfilteredEuler
 from mpipic.grid import FloatArray, Grid
 from mpipic.mapping import Sweep
@@ -143,7 +142,7 @@ class Simulation:
         rates = Rates(self.scene.dt * gas.density, self.scene.dt * gas.sound_speed**2 / gas.density)
         if kind == "none":
             return UnfilteredEuler(self.sweep, rates)
-        return SymplecticEuler(self.sweep, rates, FILTERS[kind](self.sweep))
+        return SymplecticEuler(self.sweep, rates, filters.create(kind, self.sweep, self.scene.filter))
 
     def _create_particles(self) -> Particles:
         """Every rank makes a block of consecutive ids; then each particle goes to the owner of its cell."""

@@ -60,7 +60,7 @@ SCENES: dict[str, tuple[list[str], list[str]]] = {
     "not-yet": (
         overrides("filter.kind=svd", "mapping.basis=cubic", "time.integrator=rk4", "output.checkpoint_every=5"),
         [
-            'filter.kind = "svd": not available yet; must be one of none, local',
+            'filter.kind = "svd": not available yet; must be one of none, local, order, chebyshev',
             'mapping.basis = "cubic": not available yet; must be linear',
             'time.integrator = "rk4": not available yet; must be symplectic',
             "output.checkpoint_every = 5: not available yet; must be 0",

@@ -15,7 +15,7 @@ import matplotlib.image
 import numpy as np
 import pytest
 
-from helpers import ROOT, mpipic
+from helpers import ROOT, mpipic, start_ranks
 from mpipic.output import HISTORY_COLUMNS
 
 PAPER = ROOT / "configs" / "paper.toml"
@@ -245,3 +245,14 @@ def test_check_says_bytes_per_particle_and_memory_per_rank(tmp_path: Path) -> No
     (megabytes,) = re.findall(r"per rank +([\d.]+) MB", said)
     assert 10_000 / 2 * int(each) / 1e6 < float(megabytes) < 10
     assert said.count("left out") == 1 and not list(tmp_path.iterdir()), "nothing is run or written"
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_a_run_outlives_the_reader_of_its_output(ranks, tmp_path):
+    with start_ranks(ranks, "-m", "mpipic", "run", "-o", tmp_path / "run", "--no-plots") as process:
+        assert process.stdout is not None and process.stderr is not None
+        assert process.stdout.readline().startswith("scene")
+        process.stdout.close()
+        errors = process.stderr.read()
+        assert process.wait(timeout=120) == 0, errors
+    assert json.loads((tmp_path / "run" / "summary.json").read_text())["status"] == "completed"

@@ -17,6 +17,12 @@ def unfiltered():
     return run_scene(scene_of(filter={"kind": "none"}, output={"report_at": [100, 600, 700]}))
 
 
+@pytest.fixture(scope="module")
+def second_order():
+    reports = [600, 700, 1000, 5000]
+    return run_scene(scene_of(filter={"kind": "order"}, time={"steps": 5000}, output={"report_at": reports}))
+
+
 def l2(run, step):
     return run[2].errors[step].density.l2
 
@@ -50,3 +56,11 @@ def test_without_a_filter_the_run_ends_unstable_before_step_1000(unfiltered):
 
 def test_the_filter_costs_accuracy_later_and_gains_some_early(filtered, unfiltered):
     assert l2(filtered, 100) < l2(unfiltered, 100) and l2(filtered, 600) > l2(unfiltered, 600)
+
+
+def test_order_2_halves_the_error_of_the_local_filter_and_completes_5000_steps(second_order, filtered):
+    assert second_order[1].status == "completed"
+    found = [f"{l2(second_order, step):.4e}" for step in (600, 700, 1000)]
+    assert found == ["7.6907e-03", "8.6412e-03", "1.1965e-02"]
+    assert f"{l2(second_order, 5000):.2e}" == "5.54e-02"
+    assert l2(second_order, 1000) < 0.6 * l2(filtered, 1000)

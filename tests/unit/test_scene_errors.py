@@ -9,14 +9,14 @@ from scene_helpers import message, refused
 
 def test_a_misspelt_choice_names_key_value_choices_and_the_closest():
     assert message("filter.kind=locale") == (
-        'filter.kind = "locale": must be one of none, local (order, chebyshev, exact, svd are not available yet). '
+        'filter.kind = "locale": must be one of none, local, order, chebyshev (exact, svd are not available yet). '
         'Did you mean "local"?'
     )
     (problem,) = refused({"filter": {"kind": "locale"}}).problems
     assert isinstance(problem, Problem)
     assert (problem.key, problem.value, problem.choices, problem.suggestion) == (
         *("filter.kind", "locale"),
-        *(("none", "local"), "local"),
+        *(("none", "local", "order", "chebyshev"), "local"),
     )
 
 
@@ -39,7 +39,7 @@ def test_what_is_available_is_what_this_version_can_do():
         "mapping.basis": ("linear",),
         "mapping.mass": ("lumped",),
         "mapping.gradient": ("direct",),
-        "filter.kind": ("none", "local"),
+        "filter.kind": ("none", "local", "order", "chebyshev"),
         "time.integrator": ("symplectic",),
     }
 
@@ -51,10 +51,10 @@ def test_a_number_that_switches_on_a_later_part_is_refused(key):
 
 
 def test_a_later_choice_is_available_after_one_change_in_the_registry(monkeypatch):
-    monkeypatch.setitem(CHOICES["filter.kind"], "order", True)
-    assert Scene.load(None, ["filter.kind=order", "filter.order=3"]).filter.order == 3
-    assert message("filter.order=3").endswith(
-        'no effect with filter.kind = "local"; it is used with filter.kind = order'
+    monkeypatch.setitem(CHOICES["filter.kind"], "exact", True)
+    assert Scene.load(None, ["filter.kind=exact", "filter.tolerance=1e-6"]).filter.tolerance == 1e-6
+    assert message("filter.tolerance=1e-6").endswith(
+        'no effect with filter.kind = "local"; it is used with filter.kind = exact'
     )
     monkeypatch.delitem(FIXED_FOR_NOW, "damping.order")
     assert Scene.load(None, ["damping.order=4", "damping.strength=2"]).damping.strength == 2.0
@@ -81,7 +81,7 @@ UNUSED = [
     ),
     (["mapping.penalty_order=3"], "it is used with mapping.mass = penalised, not available yet"),
     (["mapping.gradient_order=4"], "it is used with mapping.gradient = grid, not available yet"),
-    (["filter.order=3"], "it is used with filter.kind = order, chebyshev, not available yet"),
+    (["filter.order=3"], "it is used with filter.kind = order, chebyshev"),
     (["filter.tolerance=1e-8"], "it is used with filter.kind = exact, not available yet"),
     (
         ["damping.strength=2"],
