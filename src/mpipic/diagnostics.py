@@ -66,9 +66,7 @@ def norms(error: FloatArray, total: int, comm: MPI.Comm) -> Norms:
     return Norms(largest * sums[0] / total, largest * float(np.sqrt(sums[1] / total)), largest)
 
 
-def measure(
-    particles: Particles, exact: Exact, step: int, time: float, total: int, comm: MPI.Comm
-) -> ErrorReport:
+def measure(particles: Particles, exact: Exact, step: int, time: float, total: int, comm: MPI.Comm) -> ErrorReport:
     """Errors of the fields density and velocity at `time`. Collective; the exact solution is evaluated locally."""
     density, velocity = exact(particles.position, time)
     return ErrorReport(

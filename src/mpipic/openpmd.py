@@ -120,7 +120,10 @@ def snapshot(
     """
     tree = Tree()
     tree.attributes[""] = {
-        "time": np.float64(time), "dt": np.float64(dt), "timeUnitSI": np.float64(1.0), "closed": np.uint8(1)
+        "time": np.float64(time),
+        "dt": np.float64(dt),
+        "timeUnitSI": np.float64(1.0),
+        "closed": np.uint8(1),
     }
     _add_particles(tree, particles, counts, rank)
     _add_patches(tree, particles, counts, rank)
@@ -133,7 +136,8 @@ def snapshot(
 def record_attributes(name: str) -> Attributes:
     """What openPMD asks of every record: the powers of its unit, and its time relative to the snapshot's."""
     return {
-        "unitDimension": np.array(DIMENSIONS.get(name, DIMENSIONLESS), dtype=np.float64), "timeOffset": np.float64(0.0)
+        "unitDimension": np.array(DIMENSIONS.get(name, DIMENSIONLESS), dtype=np.float64),
+        "timeOffset": np.float64(0.0),
     }
 
 

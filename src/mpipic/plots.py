@@ -73,9 +73,7 @@ def gather_sample(particles: Any, comm: Any, at_most: int = SAMPLE) -> dict[str,
     return {name: values[order] for name, values in sample.items()}
 
 
-def draw_error(
-    path: Path | str, rows: Sequence[Mapping[str, Any]], scene: Any = None, unstable: bool = False
-) -> None:
+def draw_error(path: Path | str, rows: Sequence[Mapping[str, Any]], scene: Any = None, unstable: bool = False) -> None:
     """Draw the l2 errors at the report steps and the largest |density| of every row against time, on a log axis.
 
     Parameters

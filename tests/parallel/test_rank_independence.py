@@ -46,7 +46,8 @@ FLOWS: dict[str, tuple[list[str], tuple[int, ...]]] = {
     "3d-random-none": (moving([6, 6, 6], [-0.6, 0.7, 0.5], 25, "random", "none"), (1, 2, 3, 4)),
     "1d-random-order": (moving([24], [0.9], 60, "random", "order", "filter.order=4"), (1, 2, 3, 4)),
     "2d-jittered-chebyshev": (
-        moving([9, 8], [0.6, -0.4], 40, "jittered", "chebyshev", "filter.order=3", JITTER), (1, 2, 3, 4)
+        moving([9, 8], [0.6, -0.4], 40, "jittered", "chebyshev", "filter.order=3", JITTER),
+        (1, 2, 3, 4),
     ),
     "3d-jittered-order": (moving([6, 7, 8], [0.6, -0.5, -0.7], 20, "jittered", "order", JITTER), (1, 2, 3, 4)),
     "3d-random-local": (moving([3, 3, 3], [-0.6, 0.7, 0.5], 25, "random", "local"), (1, 2, 3, 4, 8)),

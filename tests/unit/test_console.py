@@ -179,7 +179,12 @@ def test_an_update_with_nothing_to_print_costs_less_than_two_microseconds(stream
 @pytest.mark.parametrize(
     ("seconds", "words"),
     [
-        (0.0, "0.0 s"), (59.94, "59.9 s"), (60.0, "1:00"), (245.2, "4:05"), (7389.0, "2:03:09"), (float("nan"), "?"),
+        (0.0, "0.0 s"),
+        (59.94, "59.9 s"),
+        (60.0, "1:00"),
+        (245.2, "4:05"),
+        (7389.0, "2:03:09"),
+        (float("nan"), "?"),
         (float("inf"), "?"),
     ],
 )

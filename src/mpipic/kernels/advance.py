@@ -5,7 +5,7 @@ new place: Φᵀ of the state columns, Φᵀ1 in the last column of `sums`, and 
 (`kernels.cells`). A particle that left this rank's cells is updated and moved, but not summed: its index goes to
 `leaving`, and whoever receives it sums it with `deposit_*d`.
 
-Particles are taken in blocks that fit the first cache. What goes axis by axis (finding cells, moving) is done for a
+Particles are taken in blocks that fit the first cache. What goes axis by axis (`kernels.blocks`) is done for a
 block at a time by loops that the compiler turns into vector code over particles; what gathers from nodes and adds to
 them goes particle by particle, with the columns of a particle in one vector.
 
@@ -32,96 +32,8 @@ returns the largest |scalar|.
 
 import numpy as np
 
-from mpipic.kernels.common import U, cell_and_fraction, exactly, hot, inlined
-
-BLOCK = 256
-
-
-# ---------------------------------------------------------------- axis by axis, any dimension
-
-
-@exactly
-def _place_first(x, tolerance, first, origin, node, cell, fraction):
-    """Node and cell indices from the first axis, and the local coordinate along it."""
-    for p in range(x.size):
-        c, fraction[p] = cell_and_fraction(x[p], tolerance)
-        cell[p] = c - first
-        node[p] = c - first + origin
-
-
-@exactly
-def _place_next(x, tolerance, first, node_stride, cell_stride, node, cell, fraction):
-    """Add another axis' part to the node and cell indices, and find the local coordinate along it."""
-    for p in range(x.size):
-        c, fraction[p] = cell_and_fraction(x[p], tolerance)
-        node[p] += node_stride * (c - first)
-        cell[p] += cell_stride * (c - first)
-
-
-@exactly
-def _mark_outside(x, tolerance, first, size, outside):
-    """Set `outside` where the cell along this axis is not one of `size` from `first`."""
-    for p in range(x.size):
-        c = np.int32(x[p] + tolerance) - first
-        outside[p] |= np.int32(c < 0) | np.int32(c >= size)
-
-
-@exactly
-def _move(x, shift, period, tolerance):
-    """Move by less than one period and wrap into [-tolerance, period - tolerance): what is on node 0 is in cell 0."""
-    for p in range(x.size):
-        t = x[p] + shift
-        t -= period * np.float64(t >= period - tolerance)
-        x[p] = t + period * np.float64(t < -tolerance)
-
-
-@hot
-def _find(axes, p0, count, geometry, shape, layout, node, cell, fraction, moving):
-    """Nodes, cells and local coordinates of a block, after moving it if `moving`."""
-    strides, cell_stride = (1, layout[1], layout[2]), 1
-    for a in range(axes.shape[0]):
-        x = axes[a, p0 : p0 + count]
-        tolerance, first = geometry[1][a], np.int32(geometry[4][a])
-        if moving:
-            _move(x, geometry[3][a], geometry[2][a], tolerance)
-        if a == 0:
-            _place_first(x, tolerance, first, np.int32(layout[0]), node, cell, fraction[a])
-        else:
-            _place_next(x, tolerance, first, np.int32(strides[a]), np.int32(cell_stride), node, cell, fraction[a])
-        cell_stride *= shape[a]
-
-
-@hot
-def _find_leavers(axes, p0, count, geometry, shape, outside, leaving, left):
-    """Mark who is outside, append to `leaving`; returns how many have left so far."""
-    outside[:count] = 0
-    for a in range(axes.shape[0]):
-        x = axes[a, p0 : p0 + count]
-        _mark_outside(x, geometry[1][a], np.int32(geometry[4][a]), np.int32(shape[a]), outside)
-    for p in range(count):
-        if outside[p]:
-            if left < leaving.size:
-                leaving[left] = p0 + p
-            left += 1
-    return left
-
-
-@hot
-def _breaks(cell, next_cell, before):
-    """How many cells differ from that of the particle before; next_cell is `cell` without its first entry."""
-    total = np.int32(cell[0] != before)
-    for p in range(next_cell.size):
-        total += np.int32(next_cell[p] != cell[p])
-    return total
-
-
-@inlined
-def _scratch(dim):
-    """Node, cell, outside (3, BLOCK) and local coordinates (d, BLOCK) of a block."""
-    return np.zeros((3, BLOCK), np.int32), np.empty((dim, BLOCK))
-
-
-# ---------------------------------------------------------------- particle by particle
+from mpipic.kernels.blocks import BLOCK, breaks_of, find, find_leavers, scratch
+from mpipic.kernels.common import U, hot, inlined
 
 
 @inlined
@@ -194,10 +106,10 @@ def _flush_1d(o, m, n, c, a0, a1, b0, b1, m0, m1, m2, weigh):
 def deposit_1d(axes, state, sums, moments, start, stop, geometry, shape, layout, weigh):
     """Add particles start to stop to the sums and moments."""
     s, o, m = state.reshape(-1), sums.reshape(-1), moments.reshape(-1)
-    index, fraction = _scratch(1)
+    index, fraction = scratch(1)
     for p0 in range(start, stop, BLOCK):
         count = min(BLOCK, stop - p0)
-        _find(axes, p0, count, geometry, shape, layout, index[0], index[1], fraction, False)
+        find(axes, p0, count, geometry, shape, layout, index[0], index[1], fraction, False)
         _deposit_1d(s, o, m, p0, count, index[2], index[0], index[1], fraction[0], weigh)
     return _largest(state, start, stop)
 
@@ -208,18 +120,18 @@ def advance_1d(
 ):
     """See the module's docstring."""
     s, g, o, m = state.reshape(-1), nodal.reshape(-1), sums.reshape(-1), moments.reshape(-1)
-    index, fraction = _scratch(1)
+    index, fraction = scratch(1)
     node, cell, outside, f = index[0], index[1], index[2], fraction[0]
     peak, breaks, left, before = 0.0, 0, 0, -1
     for p0 in range(start, stop, BLOCK):
         count = min(BLOCK, stop - p0)
-        _find(axes, p0, count, geometry, shape, layout, node, cell, fraction, False)
+        find(axes, p0, count, geometry, shape, layout, node, cell, fraction, False)
         peak = _worse(peak, _update_1d(s, g, p0, count, node, f, geometry[0], rates, direct))
         if weigh:
-            _find(axes, p0, count, geometry, shape, layout, node, cell, fraction, True)
+            find(axes, p0, count, geometry, shape, layout, node, cell, fraction, True)
             if bounded:
-                left = _find_leavers(axes, p0, count, geometry, shape, outside, leaving, left)
-            breaks += _breaks(cell, cell[1:count], before)
+                left = find_leavers(axes, p0, count, geometry, shape, outside, leaving, left)
+            breaks += breaks_of(cell, cell[1:count], before)
             before = np.int64(cell[count - 1])
         _deposit_1d(s, o, m, p0, count, outside, node, cell, f, weigh)
     return peak, breaks, left
@@ -308,11 +220,11 @@ def _deposit_2d(s, o, m, p0, count, outside, node, cell, fx_, fy_, row, weigh):
 def deposit_2d(axes, state, sums, moments, start, stop, geometry, shape, layout, weigh):
     """Add particles start to stop to the sums and moments."""
     s, o, m = state.reshape(-1), sums.reshape(-1), moments.reshape(-1)
-    index, fraction = _scratch(2)
+    index, fraction = scratch(2)
     node, cell, outside, fx, fy = index[0], index[1], index[2], fraction[0], fraction[1]
     for p0 in range(start, stop, BLOCK):
         count = min(BLOCK, stop - p0)
-        _find(axes, p0, count, geometry, shape, layout, node, cell, fraction, False)
+        find(axes, p0, count, geometry, shape, layout, node, cell, fraction, False)
         _deposit_2d(s, o, m, p0, count, outside, node, cell, fx, fy, layout[1], weigh)
     return _largest(state, start, stop)
 
@@ -323,18 +235,18 @@ def advance_2d(
 ):
     """See the module's docstring."""
     s, g, o, m = state.reshape(-1), nodal.reshape(-1), sums.reshape(-1), moments.reshape(-1)
-    index, fraction = _scratch(2)
+    index, fraction = scratch(2)
     node, cell, outside, fx, fy = index[0], index[1], index[2], fraction[0], fraction[1]
     peak, breaks, left, before = 0.0, 0, 0, -1
     for p0 in range(start, stop, BLOCK):
         count = min(BLOCK, stop - p0)
-        _find(axes, p0, count, geometry, shape, layout, node, cell, fraction, False)
+        find(axes, p0, count, geometry, shape, layout, node, cell, fraction, False)
         peak = _worse(peak, _update_2d(s, g, p0, count, node, fx, fy, layout[1], geometry[0], rates, direct))
         if weigh:
-            _find(axes, p0, count, geometry, shape, layout, node, cell, fraction, True)
+            find(axes, p0, count, geometry, shape, layout, node, cell, fraction, True)
             if bounded:
-                left = _find_leavers(axes, p0, count, geometry, shape, outside, leaving, left)
-            breaks += _breaks(cell, cell[1:count], before)
+                left = find_leavers(axes, p0, count, geometry, shape, outside, leaving, left)
+            breaks += breaks_of(cell, cell[1:count], before)
             before = np.int64(cell[count - 1])
         _deposit_2d(s, o, m, p0, count, outside, node, cell, fx, fy, layout[1], weigh)
     return peak, breaks, left
@@ -427,11 +339,11 @@ def _deposit_3d(s, o, m, p0, count, outside, node, cell, fx_, fy_, fz_, row, pla
 def deposit_3d(axes, state, sums, moments, start, stop, geometry, shape, layout, weigh):
     """Add particles start to stop to the sums and moments."""
     s, o, m = state.reshape(-1), sums.reshape(-1), moments.reshape(-1)
-    index, f = _scratch(3)
+    index, f = scratch(3)
     node, cell, outside = index[0], index[1], index[2]
     for p0 in range(start, stop, BLOCK):
         count = min(BLOCK, stop - p0)
-        _find(axes, p0, count, geometry, shape, layout, node, cell, f, False)
+        find(axes, p0, count, geometry, shape, layout, node, cell, f, False)
         _deposit_3d(s, o, m, p0, count, outside, node, cell, f[0], f[1], f[2], layout[1], layout[2], weigh)
     return _largest(state, start, stop)
 
@@ -442,20 +354,20 @@ def advance_3d(
 ):
     """See the module's docstring."""
     s, g, o, m = state.reshape(-1), nodal.reshape(-1), sums.reshape(-1), moments.reshape(-1)
-    index, f = _scratch(3)
+    index, f = scratch(3)
     node, cell, outside = index[0], index[1], index[2]
     row, plane = layout[1], layout[2]
     peak, breaks, left, before = 0.0, 0, 0, -1
     for p0 in range(start, stop, BLOCK):
         count = min(BLOCK, stop - p0)
-        _find(axes, p0, count, geometry, shape, layout, node, cell, f, False)
+        find(axes, p0, count, geometry, shape, layout, node, cell, f, False)
         other = _update_3d(s, g, p0, count, node, f[0], f[1], f[2], row, plane, geometry[0], rates, direct)
         peak = _worse(peak, other)
         if weigh:
-            _find(axes, p0, count, geometry, shape, layout, node, cell, f, True)
+            find(axes, p0, count, geometry, shape, layout, node, cell, f, True)
             if bounded:
-                left = _find_leavers(axes, p0, count, geometry, shape, outside, leaving, left)
-            breaks += _breaks(cell, cell[1:count], before)
+                left = find_leavers(axes, p0, count, geometry, shape, outside, leaving, left)
+            breaks += breaks_of(cell, cell[1:count], before)
             before = np.int64(cell[count - 1])
         _deposit_3d(s, o, m, p0, count, outside, node, cell, f[0], f[1], f[2], row, plane, weigh)
     return peak, breaks, left
