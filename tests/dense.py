@@ -85,7 +85,10 @@ class Dense:
         """
         low = 3.0 ** -len(self.D)
         chebyshev = np.polynomial.chebyshev.Chebyshev.basis(k - 1)
-        scaled = lambda x: chebyshev((1.0 + low - 2.0 * x) / (1.0 - low)) / chebyshev((1.0 + low) / (1.0 - low))  # noqa: E731
+
+        def scaled(x):
+            return chebyshev((1.0 + low - 2.0 * x) / (1.0 - low)) / chebyshev((1.0 + low) / (1.0 - low))
+
         root = np.zeros(len(self.d))
         root[self.seen] = self.d[self.seen] ** -0.5
         values, vectors = np.linalg.eigh(root[:, None] * self.G * root)
