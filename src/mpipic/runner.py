@@ -112,7 +112,7 @@ def banner(simulation: Simulation, path: Path) -> list[tuple[str, str]]:
         ("grid", dict(built)["grid"]),
         ("particles", f"{simulation.total:,}, {per_cell:.3g} a cell, layout {scene.particles.layout}"),
         ("ranks", ranks),
-        ("filter", scene.filter.kind),
+        ("filter", dict(built)["filter"]),
         ("steps", f"{scene.time.steps} of dt = {scene.dt:.6g}: {courant}"),
         ("left out", ", ".join(left_out)),
         ("output", str(path)),

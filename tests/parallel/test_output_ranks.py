@@ -8,6 +8,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+
 from helpers import run_ranks
 
 HELPERS = Path(__file__).with_name("output_helpers.py")
