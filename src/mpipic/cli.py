@@ -10,11 +10,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from mpipic.runtime import launched_rank, settle, start
+import typer
 
-settle()
-
-import typer  # noqa: E402  before anything imports NumPy
+from mpipic.runtime import launched_rank, start
 
 if TYPE_CHECKING:
     from mpipic.scene import Scene
@@ -53,6 +51,19 @@ def _load(path: Path | None, overrides: list[str] | None, comm: Any) -> Scene:
         raise scene
     assert scene is not None
     return scene
+
+
+def _check_particle_file(scene: Scene, comm: Any) -> None:
+    """Raise SceneError on all ranks for a particle file that a run would refuse."""
+    if scene.particles.layout != "file":
+        return
+    from mpipic.particle_file import check_particle_file
+    from mpipic.scene import Problem, SceneError
+
+    mine = check_particle_file(scene.particles.path, scene.dim, scene.grid.length) if comm.rank == 0 else None
+    problems = comm.bcast(mine)
+    if problems:
+        raise SceneError([Problem("particles.path", None, text) for text in problems])
 
 
 def _refuse(text: str, comm: Any) -> typer.Exit:
@@ -107,6 +118,7 @@ def check(scene: SceneFile = None, set_: Overrides = None) -> None:
         from mpipic.simulation import solution_of
 
         solution_of(loaded)
+        _check_particle_file(loaded, comm)
         Console(comm).banner(advice.describe(loaded, comm))
     except SceneError as error:
         raise _refuse(str(error), comm) from None

@@ -201,9 +201,9 @@ class Placement:
     def to_owners(self, values: FloatArray) -> FloatArray:
         """Values (n,) or (n, k) of this rank's block, as (m,) or (m, k) in the order of `position`. Collective."""
         rows = self._routes.exchange(columns_of(values), self._owner).rows
-        return rows.reshape((-1, *values.shape[1:]))
+        return rows.reshape((-1, *np.shape(values)[1:]))
 
     def to_callers(self, values: FloatArray) -> FloatArray:
         """The way back: values (m,) or (m, k) in the order of `position`, as (n,) or (n, k). Collective."""
         rows = self._routes.give_back(columns_of(values), self._delivery)
-        return rows.reshape((-1, *values.shape[1:]))
+        return rows.reshape((-1, *np.shape(values)[1:]))

@@ -24,7 +24,7 @@ FloatArray = NDArray[np.float64]
 Exact = Callable[[FloatArray, float], tuple[FloatArray, FloatArray]]
 
 # Okabe and Ito: told apart with any colour vision, and by lightness in print.
-BLUE, ORANGE, GREEN, PINK, BLACK = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#222222"
+BLUE, ORANGE, PINK, BLACK = "#0072B2", "#D55E00", "#CC79A7", "#222222"
 SIGNED_MAP, SIZE_MAP = "PuOr_r", "cividis"
 MAP_POINTS = 190.0  # width of a map in points
 HUGE, TINY = 1e150, 1e-150

@@ -38,7 +38,7 @@ class Recorder:
     def record(self, step: int, time: float, peak: float, report: ErrorReport | None) -> None:
         """Keep a row of the history; at report steps also bring the files up to date."""
         self._peak = peak
-        self.progress(step, time, peak)
+        self.progress(step, time)
         row = {"step": step, "time": time, "max_density": peak, "seconds": perf_counter() - self._since}
         self.rows.append({**row, **(report.row() if report else {})})
         if report:
@@ -52,7 +52,7 @@ class Recorder:
             self._series = ParticleSeries(self._directory.path / PARTICLES, simulation.comm, scene)
         self._series.write(step, time, scene.dt, simulation.particles, simulation.grid, simulation.nodal_means())
 
-    def progress(self, step: int, time: float, peak: float) -> None:
+    def progress(self, step: int, time: float) -> None:
         """Show how far the run is; rank 0's clock, the largest density of the last look at all ranks."""
         rate = self._simulation.total * step / max(perf_counter() - self._since, 1e-9)
         self._progress.update(step, time, self._peak, rate)
@@ -124,8 +124,9 @@ def summary(
 ) -> dict[str, Any]:
     """The content of summary.json."""
     phases = simulation.phases
-    stepping = phases.total(*STEP_PHASES, "other")
-    done = simulation.total * outcome.step
+    stepping = phases.total(*STEP_PHASES)
+    # a blow-up is dated to its step, but steps go on until the ranks next look
+    done = simulation.total * simulation.step
     result: dict[str, Any] = {
         "status": outcome.status,
         "steps": outcome.step,
@@ -135,7 +136,7 @@ def summary(
         "nodes": simulation.grid.node_count,
         "errors": reports,
         "seconds": {**seconds, "step": stepping, "phases": phases.seconds},
-        "particle_steps_per_second": done / stepping if outcome.step else 0.0,
+        "particle_steps_per_second": done / stepping if done else 0.0,
         "bytes_per_particle": simulation.particles.bytes_per_particle,
         "sorts": simulation.sweep.sorts,
         "scene": simulation.scene.to_dict(),

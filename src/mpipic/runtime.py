@@ -34,11 +34,14 @@ def launched_rank() -> int:
 
 
 def start() -> Any:
-    """COMM_WORLD, after checking that it is what the launcher started. Every later exception ends all ranks.
+    """Settle, and return COMM_WORLD after checking that it is what the launcher started. Call before NumPy is imported.
+
+    Every later exception ends all ranks.
 
     Ends with exit code 1 if the launcher announces another number of processes than MPI sees: the launcher of one MPI
     with the library of another silently runs N copies of a serial program.
     """
+    settle()
     from mpi4py import MPI
 
     comm = MPI.COMM_WORLD

@@ -183,11 +183,11 @@ class Scene:
         problems: list[Problem] = []
         merged = _with_absolute_path(apply_overrides(data, overrides, problems), Path())
         values = check(merged, SECTIONS, problems)
-        sections = {
+        sections: dict[str, Any] = {
             section: model.model_validate({key: values[f"{section}.{key}"] for key in model.model_fields})
             for section, model in SECTIONS.items()
         }
-        return cls(name=name, **sections)  # type: ignore[arg-type]
+        return cls(name=name, **sections)
 
     def to_dict(self) -> dict[str, dict[str, Any]]:
         """Return every value in plain JSON types; of time.dt and time.cfl the one that the scene gives."""

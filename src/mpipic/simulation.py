@@ -55,7 +55,7 @@ class Observer(Protocol):
     def snapshot(self, step: int, time: float) -> None:
         """The state is to be written."""
 
-    def progress(self, step: int, time: float, peak: float) -> None:
+    def progress(self, step: int, time: float) -> None:
         """Called after every step; local."""
 
 
@@ -220,7 +220,7 @@ class Simulation:
             self.step += 1
             if not self.sweep.peak <= self.limit and self._bad is None:
                 self._bad = (self.step, *self._worst())
-            observer.progress(self.step, self.time, self.sweep.peak)
+            observer.progress(self.step, self.time)
 
     def _agree(self, interrupted: bool, seconds: float) -> tuple[float, Outcome | None, int]:
         """What all ranks know together: largest |density|, why to stop if so, and steps until the next look."""

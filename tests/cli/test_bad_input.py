@@ -241,3 +241,13 @@ def test_wrong_usage_and_help_appear_once_under_mpiexec() -> None:
 def test_help_is_plain_text_where_it_is_kept(ranks: int) -> None:
     ended = mpipic("run", "--help", ranks=ranks, timeout=30)
     assert "--overwrite" in ended.stdout and "\x1b" not in ended.stdout
+
+
+@pytest.mark.parametrize("verb", ["check", "run"])
+def test_check_refuses_the_particle_file_that_a_run_refuses(verb, tmp_path):
+    with h5py.File(tmp_path / "outside.h5", "w") as file:
+        file["position"] = [[0.5], [1.5]]
+    wrong = ["--set", "particles.layout=file", "--set", f"particles.path={tmp_path / 'outside.h5'}"]
+    ended = mpipic(verb, *wrong, cwd=tmp_path)
+    assert ended.returncode == 2 and "Traceback" not in ended.stderr
+    assert ended.stderr.count("particles.path: ") == 1 and "1.5" in ended.stderr

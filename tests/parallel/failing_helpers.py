@@ -53,7 +53,7 @@ class Thief:
 
     snapshot = record
 
-    def progress(self, step: int, time: float, peak: float) -> None:
+    def progress(self, step: int, time: float) -> None:
         """Take it."""
         if step == 7 and self.simulation.comm.rank == self.simulation.comm.size - 1:
             self.simulation.particles.take(np.array([0]))

@@ -33,7 +33,7 @@ class Watch:
     def snapshot(self, step: int, time: float) -> None:
         """Nothing to keep."""
 
-    def progress(self, step: int, time: float, peak: float) -> None:
+    def progress(self, step: int, time: float) -> None:
         """Keep the local count and what has migrated so far."""
         self.counts.append(self.simulation.particles.count)
         self.migrated.append(self.simulation.sweep.migrated)

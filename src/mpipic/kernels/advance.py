@@ -9,6 +9,8 @@ Particles are taken in blocks that fit the first cache. What goes axis by axis (
 block at a time by loops that the compiler turns into vector code over particles; what gathers from nodes and adds to
 them goes particle by particle, with the columns of a particle in one vector.
 
+There is one function for each dimension, near twins, so that a scene compiles its own only.
+
 Arguments
 ---------
 axes (d, room) : coordinates in cells, one row per axis; modified.
