@@ -23,7 +23,7 @@ class Reports:
     def snapshot(self, step, time):
         self.snapshots.append((step, time))
 
-    def progress(self, step, time, peak):
+    def progress(self, step, time):
         self.steps += 1
 
 

@@ -1,4 +1,4 @@
-"""The package's parts on one rank, and nodal arrays to and from the numbering of `dense`."""
+"""The package's parts on one rank, and nodal arrays to and from the numbering of `dense_helpers`."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 from mpi4py import MPI
 
+from dense_helpers import GRIDS, Dense, pattern
 from mpipic.grid import Grid
 from mpipic.mapping import Sweep
 from mpipic.particles import Particles
@@ -18,7 +19,7 @@ def grid_of(cells, length):
 
 
 def on_nodes(grid, nodal):
-    """Own nodes of a local array, (local_nodes, ...) to (nodes, ...), numbered as in `dense`."""
+    """Own nodes of a local array, (local_nodes, ...) to (nodes, ...), numbered as in `dense_helpers`."""
     return grid.owned(nodal).reshape((grid.node_count, *nodal.shape[1:]))
 
 
@@ -80,3 +81,17 @@ def divergence_sums(sweep, values):
     grid = sweep.grid
     out = sweep.divergence_sums(ghosted(grid, values), out=grid.zeros(1))
     return on_nodes(grid, sweep.complete(out))[:, 0]
+
+
+# h is a power of two: coordinates, positions and moves are exact, in the reference too
+EXACT = {1: ((8,), (1.0,)), 2: ((4, 6), (1.0, 3.0)), 3: ((4, 3, 5), (8.0, 3.0, 0.625))}
+
+
+def case(box, name):
+    cells, length = GRIDS[box]
+    position = pattern(name, cells, length)
+    return grid_of(cells, length), position, Dense(cells, length, position)
+
+
+def values(n, *shape, seed=5):
+    return np.random.default_rng(seed).standard_normal((n, *shape))

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from dense import close
-from scenes import run_scene, scene_of
-from serial import by_id
+from dense_helpers import close
+from run_helpers import run_scene, scene_of
+from serial_helpers import by_id
 
 BOXES = {1: [32], 2: [12, 10], 3: [6, 5, 4]}
 every_dimension = pytest.mark.parametrize("dim", [1, 2, 3])

@@ -7,7 +7,7 @@ h² where the second order is to show: dt = 0.2 h 16 h, CFL 0.2 on 16 cells. Tim
 import numpy as np
 import pytest
 
-from scenes import error_of, orders, scene_of
+from run_helpers import error_of, orders, scene_of
 
 TIME = 0.25
 FLOW = (0.05, 0.03, 0.02)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from scenes import run_scene, scene_of
+from run_helpers import run_scene, scene_of
 
 LOCAL = {100: "3.6228e-03", 600: "1.4035e-02", 700: "1.5562e-02", 1000: "2.2561e-02", 5000: "8.8728e-02"}
 

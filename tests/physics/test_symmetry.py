@@ -4,9 +4,9 @@ import h5py
 import numpy as np
 import pytest
 
-from dense import close, pattern, run_euler
-from scenes import run_scene, scene_of
-from serial import by_id
+from dense_helpers import close, pattern, run_euler
+from run_helpers import run_scene, scene_of
+from serial_helpers import by_id
 
 every_kind = pytest.mark.parametrize("kind", ["none", "local"])
 

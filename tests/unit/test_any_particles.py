@@ -4,11 +4,11 @@ import numpy as np
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
-from dense import Dense, close
+from dense_helpers import Dense, close
 from mpipic.filters import FILTERS
 from mpipic.formulation import Rates, SymplecticEuler, UnfilteredEuler
 from mpipic.mapping import Mapping
-from serial import by_id, divergence_sums, ghosted, gradient_sums, gram_matrix, grid_of, on_nodes, sweep_of
+from serial_helpers import by_id, divergence_sums, ghosted, gradient_sums, gram_matrix, grid_of, on_nodes, sweep_of
 
 LENGTHS = (1.0, 0.3, 7.0, 1e-6, 1e6)
 SPECIAL = (0.0, 5e-324, 1e-308, 1e-300, 1e-16, 5e-11, 1e-9, 0.25, 0.5, 1 - 1e-9, 1 - 5e-11, 1 - 1e-12, 1 - 2**-53)

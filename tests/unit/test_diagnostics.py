@@ -5,7 +5,7 @@ import pytest
 from mpi4py import MPI
 
 from mpipic.diagnostics import measure, norms
-from serial import grid_of, particles_of
+from serial_helpers import grid_of, particles_of
 
 COMM = MPI.COMM_SELF
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from dense import GRIDS, PATTERNS, Dense, close, pattern
+from dense_helpers import GRIDS, PATTERNS, Dense, close, pattern
 from mpipic.filters import FILTERS, Filter, LocalFilter
 from mpipic.mapping import Mapping
-from serial import ghosted, grid_of, on_nodes, sweep_of
+from serial_helpers import ghosted, grid_of, on_nodes, sweep_of
 
 every_kind = pytest.mark.parametrize("kind", sorted(FILTERS))
 every_grid = pytest.mark.parametrize("box", GRIDS)

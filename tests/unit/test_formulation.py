@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from dense import Dense, close, pattern, run_euler
+from dense_helpers import Dense, close, pattern, run_euler
 from mpipic.filters import FILTERS
 from mpipic.formulation import ParticleEuler, Rates, SymplecticEuler, UnfilteredEuler
 from mpipic.mapping import Mapping
-from serial import by_id, grid_of, on_nodes, sweep_of
+from serial_helpers import by_id, grid_of, on_nodes, sweep_of
 
 # h is a power of two, and cells are not cubes: moves are exact in the reference too, and mixed-up axes show
 BOXES = {1: ((16,), (1.0,)), 2: ((6, 4), (1.5, 2.0)), 3: ((3, 4, 2), (0.75, 2.0, 2.0))}

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from dense import GRIDS, close
+from dense_helpers import GRIDS, close
 from mpipic.grid import Grid
 from mpipic.particles import locate
-from serial import ghosted, grid_of, on_nodes, sweep_of
+from serial_helpers import ghosted, grid_of, on_nodes, sweep_of
 
 every_grid = pytest.mark.parametrize("box", GRIDS)
 

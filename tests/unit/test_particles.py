@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mpipic.particles import LAYOUTS, Particles, locate, share, uniform
-from serial import grid_of
+from serial_helpers import grid_of
 
 BOXES = {1: ((10,), (1.0,)), 2: ((4, 5), (1.0, 2.0)), 3: ((3, 2, 4), (1.0, 2.0, 0.5))}
 every_dimension = pytest.mark.parametrize("dim", [1, 2, 3])

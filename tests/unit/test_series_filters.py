@@ -5,11 +5,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from dense import GRIDS, Dense, close, pattern
+from dense_helpers import GRIDS, Dense, close, pattern
 from mpipic.filters import ChebyshevFilter, LocalFilter, OrderFilter, create
 from mpipic.mapping import Mapping
 from mpipic.scene import Scene
-from serial import grid_of
+from serial_helpers import grid_of
 
 SERIES = {OrderFilter: Dense.order, ChebyshevFilter: Dense.chebyshev}
 every_class = pytest.mark.parametrize("cls", SERIES)

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from dense import Dense, close
+from dense_helpers import Dense, close
 from mpipic.scene import SceneError
 from mpipic.simulation import Simulation
-from scenes import Reports, run_scene, scene_of
-from serial import by_id
+from run_helpers import Reports, run_scene, scene_of
+from serial_helpers import by_id
 
 
 def test_errors_are_reported_at_the_steps_asked_for_and_at_the_last():

@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
-from dense import GRIDS, PATTERNS, Dense, close, pattern
+from dense_helpers import GRIDS, PATTERNS, Dense, close, pattern
 from mpipic.mapping import Mapping, Sweep
-from serial import (
+from serial_helpers import (
+    EXACT,
     by_id,
+    case,
     divergence_sums,
     ghosted,
     gradient_sums,
@@ -16,24 +18,12 @@ from serial import (
     on_nodes,
     particles_of,
     sweep_of,
+    values,
 )
 
 every_grid = pytest.mark.parametrize("box", GRIDS)
 every_pattern = pytest.mark.parametrize("name", PATTERNS)
 every_dimension = pytest.mark.parametrize("dim", [1, 2, 3])
-
-# h is a power of two: coordinates, positions and moves are exact, in the reference too
-EXACT = {1: ((8,), (1.0,)), 2: ((4, 6), (1.0, 3.0)), 3: ((4, 3, 5), (8.0, 3.0, 0.625))}
-
-
-def case(box, name):
-    cells, length = GRIDS[box]
-    position = pattern(name, cells, length)
-    return grid_of(cells, length), position, Dense(cells, length, position)
-
-
-def values(n, *shape, seed=5):
-    return np.random.default_rng(seed).standard_normal((n, *shape))
 
 
 def random_state(position, dim, seed=8):
