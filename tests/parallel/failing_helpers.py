@@ -31,7 +31,7 @@ def case_exception() -> None:
 def case_exception_in_run() -> None:
     """Rank 1 fails in the middle of `mpipic run`, the others go on stepping."""
 
-    def failing_progress(self: object, step: int, time: float, peak: float) -> None:
+    def failing_progress(self: object, step: int, time: float) -> None:
         if step == 50 and start().rank == 1:
             fail_deep_inside()
 
