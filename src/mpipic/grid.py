@@ -22,8 +22,9 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from mpipic.decomposition import process_grid
+from mpipic.halo import FloatArray, Halo
 
-FloatArray = npt.NDArray[np.float64]
+__all__ = ["ON_NODE", "FloatArray", "Grid", "columns_of", "raise_together"]
 
 ON_NODE = 1e-10
 """A particle within this many cells of a node counts as on it, so that rounding never decides the side."""
@@ -64,6 +65,8 @@ class Grid:
         First own cell, and number of own cells, per axis (x, y, z).
     local_nodes, local_cells
         Entries of a nodal array (own and ghost nodes), own cells.
+    nodes : Halo
+        The block of own nodes with its ghosts, which nodal arrays are shaped like.
     layout : (int, int, int)
         Flat index of the node that opens the first own cell; flat strides along y and z.
     quantum, tolerance : floats, cells
@@ -104,69 +107,22 @@ class Grid:
         if blocks is None:
             raise ValueError(f"{self.size} ranks cannot share {self.cells} cells with at least one each")
         self.blocks = blocks
-        self.reach = reach
-        self._create(max(reach))
-
-    def _create(self, width: int) -> None:
-        da = PETSc.DMDA().create(
-            dim=self.dim,
-            sizes=self.cells,
-            proc_sizes=self.blocks,
-            dof=1,
-            boundary_type=PETSc.DM.BoundaryType.PERIODIC,
-            stencil_type=PETSc.DMDA.StencilType.BOX,
-            stencil_width=width,
-            comm=self.comm,
-        )
-        self.da = da
-        self.starts = [np.concatenate([[0], np.cumsum(sizes)[:-1]]) for sizes in da.getOwnershipRanges()]
-        start, shape = da.getCorners()
-        ghost_start, ghost_shape = da.getGhostCorners()
-        self.owned_start, self.owned_shape = tuple(map(int, start)), tuple(map(int, shape))
-        self.ghost_shape = tuple(map(int, ghost_shape))
-        self._offset = tuple(int(s - g) for s, g in zip(start, ghost_start, strict=True))
-        self.local_nodes = int(np.prod(self.ghost_shape))
+        self.starts = self._divide()
+        self.nodes = Halo(comm, self.cells, self.starts, max(reach), reach)
+        self.owned_start, self.owned_shape = self.nodes.owned_start, self.nodes.owned_shape
+        self.local_nodes, self.layout = self.nodes.local_nodes, self.nodes.layout
         self.local_cells = int(np.prod(self.owned_shape))
         self.node_count = int(np.prod(self.cells))
-        strides = np.concatenate([[1], np.cumprod(self.ghost_shape)])
-        self.layout = (
-            int(sum(o * s for o, s in zip(self._offset, strides, strict=False))),
-            int(strides[1]),
-            int(strides[2]) if self.dim > 1 else int(strides[1]),
-        )
         self.padded_shape = self.owned_shape + (1,) * (3 - self.dim)
-        self._halo = self._star_forest()
-        self._units: dict[int, MPI.Datatype] = {}
 
-    def _star_forest(self) -> PETSc.SF:
-        """Ghost nodes that the basis touches (leaves) and the local index of each at its owner (roots).
-
-        DMDA itself tells which rank owns a ghost and under which local index: both are sent through it once.
-        """
-        index = np.arange(self.local_nodes).reshape(self.ghost_shape[::-1])
-        own = self._block(index, (0, 0)).ravel()
-        touched = np.zeros(self.local_nodes, dtype=bool)
-        touched[self._block(index, self.reach).ravel()] = True
-        touched[own] = False
-        leaves = np.flatnonzero(touched).astype(PETSc.IntType)
-        remote = np.empty((leaves.size, 2), dtype=PETSc.IntType)
-        total, local = self.da.createGlobalVec(), self.da.createLocalVec()
-        for column, values in enumerate((np.full(own.size, self.rank), own)):
-            total.setArray(values.astype(float))
-            self.da.globalToLocal(total, local)
-            remote[:, column] = local.getArray(readonly=True)[leaves]
-        total.destroy()
-        local.destroy()
-        halo = PETSc.SF().create(self.comm)
-        halo.setGraph(self.local_nodes, leaves, remote.ravel())
-        halo.setUp()
-        return halo
-
-    def _block(self, array: np.ndarray, reach: tuple[int, int]) -> np.ndarray:
-        """Own nodes, and `reach` below and above, of an array shaped (z, y, x, ...)."""
-        spans = zip(self._offset, self.owned_shape, strict=True)
-        slices = tuple(slice(o - reach[0], o + n + reach[1]) for o, n in spans)[::-1]
-        return array[slices]
+    def _divide(self) -> list[npt.NDArray[np.int64]]:
+        """First node of every block, per axis, as a DMDA divides the cells."""
+        da = PETSc.DMDA().create(
+            dim=self.dim, sizes=self.cells, proc_sizes=self.blocks, dof=1, stencil_width=0, comm=self.comm
+        )
+        starts = [np.cumsum([0, *sizes[:-1]], dtype=np.int64) for sizes in da.getOwnershipRanges()]
+        da.destroy()
+        return starts
 
     def zeros(self, columns: int) -> FloatArray:
         """A nodal array of zeros, shape (local_nodes, columns). Local."""
@@ -174,34 +130,20 @@ class Grid:
 
     def owned(self, nodal: np.ndarray) -> np.ndarray:
         """View of a nodal array's own nodes, shape owned_shape or owned_shape + (k,), axes in x, y, z order. Local."""
-        tail = nodal.shape[1:]
-        block = self._block(nodal.reshape(self.ghost_shape[::-1] + tail), (0, 0))
-        axes = tuple(reversed(range(self.dim))) + tuple(range(self.dim, self.dim + len(tail)))
+        block = self.nodes.own(nodal)
+        axes = tuple(reversed(range(self.dim))) + tuple(range(self.dim, block.ndim))
         return block.transpose(axes)
-
-    def _unit(self, nodal: FloatArray) -> MPI.Datatype:
-        """One node's columns as one MPI item; PETSc cannot add into a derived type of a single number."""
-        columns = nodal.size // self.local_nodes
-        if columns == 1:
-            return MPI.DOUBLE
-        if columns not in self._units:
-            self._units[columns] = MPI.DOUBLE.Create_contiguous(columns).Commit()
-        return self._units[columns]
 
     def sum_halo(self, nodal: FloatArray) -> None:
         """Add what ghost nodes hold into their owners, in place; ghosts keep their own share.
 
         Collective; one message to each neighbouring rank.
         """
-        unit = self._unit(nodal)
-        self._halo.reduceBegin(unit, nodal, nodal, MPI.SUM)
-        self._halo.reduceEnd(unit, nodal, nodal, MPI.SUM)
+        self.nodes.add(nodal)
 
     def fill_halo(self, nodal: FloatArray) -> None:
         """Copy the owners' values to their ghosts, in place. Collective; one message to each neighbouring rank."""
-        unit = self._unit(nodal)
-        self._halo.bcastBegin(unit, nodal, nodal, MPI.REPLACE)
-        self._halo.bcastEnd(unit, nodal, nodal, MPI.REPLACE)
+        self.nodes.fill(nodal)
 
     def cell_of(self, coordinate: FloatArray) -> npt.NDArray[np.int64]:
         """Global cell (n, d) of coordinates (n, d), by the arithmetic of the compiled loops. Local."""
