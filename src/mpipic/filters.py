@@ -1,13 +1,18 @@
 """Null-space filters: linear operators on particle values that keep what the nodes see and remove what they do not.
 
-Every filter here has the form F = Φ N Φᵀ with a nodal operator N: it takes the nodal sums Φᵀq of particle values q to
-nodal coefficients a = N Φᵀq, and its result is Φ a. A filter is a class with a `kind`, registered in `FILTERS`.
+A filter is a class with a `kind`, registered in `FILTERS`. All but the singular value decomposition have the form
+F = Φ N Φᵀ with a nodal operator N: they take the nodal sums Φᵀq of particle values q to nodal coefficients
+a = N Φᵀq, and their result is Φ a.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Hashable
+from functools import cached_property
 from typing import Any, ClassVar
+
+import numpy as np
 
 from mpipic.grid import FloatArray
 from mpipic.mapping import Mapping, NodalMapping
@@ -37,9 +42,6 @@ class Filter(ABC):
         self.mapping = mapping
 
     @abstractmethod
-    def coefficients(self, sums: FloatArray, out: FloatArray | None = None) -> FloatArray:
-        """Nodal a = N sums with F q = Φ a, where sums = Φᵀq: (local_nodes, ...), right on own and ghost nodes."""
-
     def apply(self, q: FloatArray) -> FloatArray:
         """F q: filtered particle values.
 
@@ -56,16 +58,55 @@ class Filter(ABC):
 
         Notes
         -----
-        Collective; needs a `Mapping`. One pass to the nodes, one back, and what `coefficients` costs.
+        Collective; needs a `Mapping`.
         """
+
+    def __call__(self, q: FloatArray) -> FloatArray:
+        """F q, as `apply`."""
+        return self.apply(q)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that the filter keeps between applications."""
+        return 0
+
+    def facts(self) -> dict[str, Any]:
+        """What the filter found out about itself at its present positions, for reports."""
+        return {}
+
+    def _particles(self) -> Mapping:
         if not isinstance(self.mapping, Mapping):
             raise TypeError(f"apply needs a Mapping, which maps any values, not a {type(self.mapping).__name__}")
-        return self.mapping.g2p(self.coefficients(self.mapping.sums(q)))
-
-    __call__ = apply
+        return self.mapping
 
 
-class LocalFilter(Filter):
+class NodalFilter(Filter):
+    """A filter F = Φ N Φᵀ."""
+
+    @abstractmethod
+    def coefficients(
+        self, sums: FloatArray, out: FloatArray | None = None, series: Hashable | None = None
+    ) -> FloatArray:
+        """Nodal a = N sums with F q = Φ a.
+
+        Parameters
+        ----------
+        sums : (local_nodes,) or (local_nodes, k)
+            Φᵀq, or ΦᵀVq with particle weights, right on own and ghost nodes.
+        out
+            Where to put the result, shape of `sums`.
+        series
+            Calls with the same `series` are one quantity at equally spaced times, which is where solvers take their
+            first guess from. None: nothing is remembered, and equal arguments give equal results.
+        """
+
+    def apply(self, q: FloatArray) -> FloatArray:
+        """F q; see `Filter.apply`. Collective; one pass to the nodes, one back, and what `coefficients` costs."""
+        mapping = self._particles()
+        return mapping.g2p(self.coefficients(mapping.sums(q)))
+
+
+class LocalFilter(NodalFilter):
     """F = Φ S: map to the nodes and back.
 
     SΦ has its eigenvalues in [0, 1], so what the nodes see is smoothed as well: F is no projection. It keeps the sum,
@@ -78,12 +119,14 @@ class LocalFilter(Filter):
 
     kind = "local"
 
-    def coefficients(self, sums: FloatArray, out: FloatArray | None = None) -> FloatArray:
+    def coefficients(
+        self, sums: FloatArray, out: FloatArray | None = None, series: Hashable | None = None
+    ) -> FloatArray:
         """diag(d)⁻¹ sums. Local."""
         return self.mapping.divide(sums, out)
 
 
-class _Series(Filter):
+class _Series(NodalFilter):
     """F = Φ p_k(SΦ) S with a polynomial p_k of degree k - 1, chosen so that 1 - λ p_k(λ) is small where λ is not 0.
 
     SΦ = diag(d)⁻¹G has its eigenvalues in [0, 1]; what the nodes see but cannot tell apart (λ = 0, fewer particles than
@@ -99,7 +142,9 @@ class _Series(Filter):
             raise ValueError(f"order must be 1 or above, not {order}")
         self.order = order
 
-    def coefficients(self, sums: FloatArray, out: FloatArray | None = None) -> FloatArray:
+    def coefficients(
+        self, sums: FloatArray, out: FloatArray | None = None, series: Hashable | None = None
+    ) -> FloatArray:
         """p_k(SΦ) diag(d)⁻¹ sums. Collective on neighbours."""
         means = self.mapping.divide(sums)
         result = means if self.order == 1 else self._sum_up(means)
@@ -146,9 +191,12 @@ class ChebyshevFilter(_Series):
     flatter on long waves; the factor 1 - λ keeps constants exact. This is the Chebyshev iteration for SΦ a = S q, begun
     at a = S q.
 
-    The lower bound is λ_low = (1/3)^d, the smallest eigenvalue on cells filled with many particles. Few or disordered
-    particles have eigenvalues below it, but there 0 <= T <= 1, so what they carry is damped, never amplified. Above
-    λ_low, T changes sign k - 1 times, and a wave may come out larger by up to (1 - λ) |T(λ)|.
+    The lower bound is λ_low = Π_a (1 - 4 b_a), with b_a the mean of ξ (1 - ξ) over the particles' local coordinates
+    along axis a: the smallest eigenvalue on any lattice, (1/3)^d for particles spread evenly within cells. In a run it
+    is looked at again every quarter of a cell that particles travel. Few or disordered particles have eigenvalues below
+    it, but there 0 <= T <= 1, so what they carry is damped, never amplified. Above λ_low, T changes sign k - 1 times,
+    and a wave may come out larger by up to (1 - λ) |T(λ)|; a bound that is too low only makes the series converge
+    more slowly.
 
     References
     ----------
@@ -157,8 +205,17 @@ class ChebyshevFilter(_Series):
 
     kind = "chebyshev"
 
+    @property
+    def low(self) -> float:
+        """λ_low, at most 0.9. Collective where it is due to be looked at again."""
+        return min(0.9, float(np.prod(1.0 - 4.0 * self.mapping.overlap())))
+
+    def facts(self) -> dict[str, Any]:
+        """The lower bound."""
+        return {"lower_bound": self.low}
+
     def _sum_up(self, means: FloatArray) -> FloatArray:
-        low = 3.0**-self.mapping.grid.dim
+        low = self.low
         middle, half = 0.5 * (1.0 + low), 0.5 * (1.0 - low)
         ratio = half / middle
         residual = means - self._smooth(means)
@@ -171,6 +228,117 @@ class ChebyshevFilter(_Series):
             ratio = following
             total += change
         return total
+
+
+class ExactFilter(NodalFilter):
+    """F = P = Φ G⁺ Φᵀ, the orthogonal projection on range(Φ), by conjugate gradients on the nodes.
+
+    P is what the paper's global SVD filter computes: P² = P, S P = S, P 1 = 1, Pᵀ = P, all to the solver's tolerance,
+    at a cost of O(n) instead of O(m² n + n³). Where G is singular (empty nodes, fewer particles than nodes, coincident
+    particles) P q is the answer of least norm all the same; nodes that no particle sees get 0.
+
+    Parameters
+    ----------
+    tolerance
+        Relative residual; see `mpipic.gram.GramSolver`, whose PETSc options begin with ``-filter_``.
+
+    Raises
+    ------
+    NotConverged
+        From `apply` and `coefficients`; names the residual and the iteration count.
+
+    Notes
+    -----
+    Collective. An iteration costs two halo exchanges and two reductions: O(n/ranks + its·m/ranks).
+
+    References
+    ----------
+    Gritton, Berzins, Kirby (2015), eq. 23, in Gram form.
+    """
+
+    kind = "exact"
+    settings = ("tolerance",)
+
+    def __init__(self, mapping: NodalMapping, tolerance: float = 1e-10) -> None:
+        super().__init__(mapping)
+        self.tolerance = tolerance
+        self.iterations: list[int] = []
+
+    @cached_property
+    def solver(self) -> Any:
+        """The Gram solver, made when first used."""
+        from mpipic.gram import GramSolver
+
+        return GramSolver(self.mapping, self.tolerance)
+
+    def coefficients(
+        self, sums: FloatArray, out: FloatArray | None = None, series: Hashable | None = None
+    ) -> FloatArray:
+        """G⁺ sums, column by column; zero on nodes that no particle sees. Collective."""
+        result = np.empty(sums.shape) if out is None else out
+        wide, answer = sums.reshape(len(sums), -1), result.reshape(len(sums), -1)
+        self.mapping.phase("filter")
+        self.iterations = []
+        for column in range(wide.shape[1]):
+            name = None if series is None else (series, column)
+            answer[:, column] = self.solver.solve(wide[:, column], name)
+            self.iterations.append(self.solver.iterations)
+        self.mapping.phase("nodes")
+        return result
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the solver's arrays, without PETSc's work vectors."""
+        return int(self.solver.nbytes)
+
+    def facts(self) -> dict[str, Any]:
+        """Iterations of the last application, one number a column."""
+        return {"iterations": list(self.iterations), "tolerance": self.tolerance}
+
+
+class SvdFilter(Filter):
+    """F = V_r V_rᵀ, with V_r the right singular vectors of S that belong to singular values above the cut.
+
+    The paper's global filter, distributed; the reference that the others are compared with. With particle weights, V_r
+    are those of S V^-½, and F = V^-½ V_r V_rᵀ V^½.
+
+    Notes
+    -----
+    Collective. All triplets are computed anew whenever positions have changed: O(m² n + m³) work, O(m n) memory.
+
+    References
+    ----------
+    Gritton, Berzins, Kirby (2015), eq. 14-23.
+    """
+
+    kind = "svd"
+
+    def __init__(self, mapping: NodalMapping) -> None:
+        super().__init__(mapping)
+        self._version = -1
+
+    @property
+    def rows(self) -> Any:
+        """Row space of S at the present positions, a `mpipic.singular.RowSpace`. Collective where they have changed."""
+        from mpipic.singular import RowSpace
+
+        mapping = self._particles()
+        if self._version != mapping.version:
+            self._rows, self._version = RowSpace(mapping), mapping.version
+        return self._rows
+
+    def apply(self, q: FloatArray) -> FloatArray:
+        """V_r V_rᵀ q; see `Filter.apply`."""
+        return np.asarray(self.rows.project(q))
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of V_r on this rank."""
+        return int(self.rows.nbytes)
+
+    def facts(self) -> dict[str, Any]:
+        """Rank, cut, and the singular values on either side of it."""
+        return dict(self.rows.facts)
 
 
 def create(kind: str, mapping: NodalMapping, settings: Any) -> Filter:

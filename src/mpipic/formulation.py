@@ -9,8 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
-from mpipic.filters import Filter
+from mpipic import filters
+from mpipic.filters import NodalFilter
 from mpipic.grid import FloatArray
 from mpipic.mapping import Mapping, Sweep
 
@@ -64,7 +66,7 @@ class SymplecticEuler:
     `step` is collective on neighbours: four pairs of halo exchanges, and migration.
     """
 
-    def __init__(self, sweep: Sweep, rates: Rates, filter_: Filter) -> None:
+    def __init__(self, sweep: Sweep, rates: Rates, filter_: NodalFilter) -> None:
         self.sweep, self.rates, self.filter = sweep, rates, filter_
         self.nodal = sweep.grid.zeros(1 + sweep.grid.dim)
         self._scalar, self._vector = sweep.grid.zeros(1), sweep.grid.zeros(sweep.grid.dim)
@@ -72,7 +74,7 @@ class SymplecticEuler:
     @property
     def nbytes(self) -> int:
         """Bytes of the nodal work arrays."""
-        return self.nodal.nbytes + self._scalar.nbytes + self._vector.nbytes
+        return self.nodal.nbytes + self._scalar.nbytes + self._vector.nbytes + self.filter.nbytes
 
     def step(self) -> None:
         """One time step; u is used at t, ρ at t + dt."""
@@ -82,12 +84,12 @@ class SymplecticEuler:
 
         u = sweep.divide(u_sums, out=self._vector)
         sums = sweep.complete(sweep.divergence_sums(u, out=_zeroed(self._scalar)))
-        self.filter.coefficients(sums, out=divergence)
+        self.filter.coefficients(sums, out=divergence, series="divergence")
 
         change = sweep.complete(sweep.gram(divergence, out=_zeroed(self._scalar)))
         rho = sweep.divide_changed(rho_sums, -rates.density, change, out=self._scalar)
         sums = sweep.complete(sweep.gradient_sums(rho, out=_zeroed(self._vector)))
-        self.filter.coefficients(sums, out=gradient)
+        self.filter.coefficients(sums, out=gradient, series="gradient")
 
         sweep.advance(self.nodal, (-rates.density, -rates.velocity))
 
@@ -121,6 +123,49 @@ class UnfilteredEuler:
         sweep.divide_changed(rho_sums, -rates.density, change, out=rho)
 
         sweep.advance(self.nodal, (-rates.density, -rates.velocity), direct=True)
+
+
+class ReferenceEuler:
+    """Formulation 2 with a filter that only acts on particle values: `ParticleEuler` on the particles of a sweep.
+
+    Notes
+    -----
+    `step` is collective; it maps the particles anew and passes over them nine times.
+    """
+
+    def __init__(self, sweep: Sweep, rates: Rates, filter_: filters.Filter) -> None:
+        self.sweep, self.filter = sweep, filter_
+        self._mapping = Mapping.at(sweep.grid, sweep.particles)
+        filter_.mapping = self._mapping
+        self._plain = ParticleEuler(self._mapping, rates, filter_)
+        self._nothing = sweep.grid.zeros(1 + sweep.grid.dim)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the mapping, of what the filter keeps, and of the nodal work array."""
+        return self._mapping.nbytes + self.filter.nbytes + self._nothing.nbytes
+
+    def step(self) -> None:
+        """One time step; u is used at t, ρ at t + dt."""
+        particles = self.sweep.particles
+        self.sweep.phase("particles")
+        if self.sweep.moving:
+            self._mapping.follow(particles)
+        self._plain.step(particles.field("density"), particles.field("velocity"))
+        self.sweep.advance(self._nothing, (0.0, 0.0))
+
+
+Euler = SymplecticEuler | UnfilteredEuler | ReferenceEuler
+
+
+def symplectic(sweep: Sweep, rates: Rates, settings: Any) -> Euler:
+    """Formulation 2 with the filter of `settings`, a record like the scene's [filter] section. Collective."""
+    if settings.kind == "none":
+        return UnfilteredEuler(sweep, rates)
+    filter_ = filters.create(settings.kind, sweep, settings)
+    if isinstance(filter_, NodalFilter):
+        return SymplecticEuler(sweep, rates, filter_)
+    return ReferenceEuler(sweep, rates, filter_)
 
 
 def _zeroed(array: FloatArray) -> FloatArray:

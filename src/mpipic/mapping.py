@@ -9,41 +9,115 @@ advances, cell by cell from pair moments and in one pass over the particles a st
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from functools import reduce
 
 import numpy as np
+from mpi4py import MPI
 
 from mpipic import migration
 from mpipic.grid import FloatArray, Grid, columns_of, raise_together
-from mpipic.kernels import BY_DIMENSION, generic
+from mpipic.kernels import BY_DIMENSION, generic, stencil
 from mpipic.particles import IntArray, Particles, locate
 
+REFRESH = 0.25
+"""Cells that the particles of a run travel before estimates of the spectrum are made again."""
 
-class NodalMapping(Protocol):
-    """What a filter needs of a mapping: the operators S Φ is made of, on nodal arrays."""
+
+class NodalMapping:
+    """What filters and solvers need of a mapping: the operators that S Φ is made of, on nodal arrays.
+
+    On the linear basis they follow from the pair moments of every cell (see `kernels.cells`).
+
+    Attributes
+    ----------
+    weights : (local_nodes,)
+        Row sums d, right on own and ghost nodes.
+    inverse_weights : (local_nodes,)
+        1 / d, 0 on nodes that no particle sees.
+    version : int
+        Counts changes of positions.
+    """
 
     grid: Grid
     weights: FloatArray
+    version: int
+    inverse_weights: FloatArray
+    phase: Callable[[str], None]
+    _overlap: FloatArray | None
+
+    @property
+    def moments(self) -> FloatArray:
+        """Pair moments of own cells, (local_cells, 3^d)."""
+        raise NotImplementedError
 
     def divide(self, sums: FloatArray, out: FloatArray | None = None) -> FloatArray:
         """Nodal means from nodal sums: diag(d)⁻¹ sums, 0 on nodes that no particle sees. Local."""
-        ...
+        self.phase("nodes")
+        result = np.empty(sums.shape) if out is None else out
+        if sums.ndim == 1:
+            generic.scale_rows(sums[:, None], self.inverse_weights, result[:, None])
+        else:
+            generic.scale_rows(sums, self.inverse_weights, result)
+        return result
+
+    def gram(self, nodal: FloatArray, out: FloatArray) -> FloatArray:
+        """out += G nodal, one column; complete it afterwards. Local."""
+        grid = self.grid
+        BY_DIMENSION[grid.dim].gram(self.moments, grid.padded_shape, grid.layout, nodal, out)
+        return out
 
     def apply_gram(self, nodal: FloatArray) -> FloatArray:
-        """G nodal = ΦᵀΦ nodal, column by column, right on own and ghost nodes; ghosts of `nodal` filled. Collective."""
-        ...
+        """G nodal, column by column, right on own and ghost nodes; ghosts of `nodal` filled.
+
+        Collective; one halo sum, one fill.
+        """
+        out = np.zeros(nodal.shape)
+        wide, result = nodal.reshape(len(nodal), -1), out.reshape(len(nodal), -1)
+        for column in range(wide.shape[1]):
+            self.gram(wide[:, column : column + 1], result[:, column : column + 1])
+        return self.complete(out)
+
+    def add_gram_entries(self, layout: tuple[int, int, int], entries: FloatArray) -> None:
+        """entries += half of G's diagonals in a padding of `layout` (see `kernels.stencil`).
+
+        Local; ghosts still hold what belongs to their owners.
+        """
+        self.phase("nodes")
+        dim = self.grid.dim
+        stencil.add_moments(self.moments, stencil.moment_terms(dim), self.grid.padded_shape, layout, entries)
+
+    def overlap(self) -> FloatArray:
+        """Mean of ξ (1 - ξ) over all particles, ξ the local coordinate along each axis, (d,).
+
+        1/6 for particles spread evenly within cells, 0 for particles on nodes, 1/4 in the middle between two: the
+        circulant (b, 1 - 2 b, b) is what diag(d)⁻¹ G resembles along an axis. Collective where positions have changed
+        since: one reduction, one pass over the moments.
+        """
+        if self._overlap is None:
+            dim = self.grid.dim
+            totals = self.moments.sum(axis=0)
+            self.grid.comm.Allreduce(MPI.IN_PLACE, totals)
+            pairs = totals.reshape((3,) * dim)[np.newaxis]
+            both, ends = np.array([0.0, 1.0, 0.0]), np.array([1.0, 2.0, 1.0])
+            found = []
+            for axis in range(dim):
+                # moments run x fastest: the last axis of `pairs` is x
+                weights = [both if a == axis else ends for a in reversed(range(dim))]
+                found.append(float(np.sum(pairs * reduce(np.multiply.outer, weights))))
+            count = float(np.sum(pairs * reduce(np.multiply.outer, [ends] * dim)))
+            self._overlap = np.array(found) / (count or 1.0)
+        return self._overlap
+
+    def complete(self, sums: FloatArray) -> FloatArray:
+        """Nodal sums made right on own and ghost nodes: one halo sum, one fill. Collective on neighbours."""
+        self.phase("halo")
+        self.grid.sum_halo(sums)
+        self.grid.fill_halo(sums)
+        self.phase("nodes")
+        return sums
 
 
-def _divide(inverse_weights: FloatArray, sums: FloatArray, out: FloatArray | None) -> FloatArray:
-    result = np.empty(sums.shape) if out is None else out
-    if sums.ndim == 1:
-        generic.scale_rows(sums[:, None], inverse_weights, result[:, None])
-    else:
-        generic.scale_rows(sums, inverse_weights, result)
-    return result
-
-
-class Mapping:
+class Mapping(NodalMapping):
     """Φ, D and S at given positions, applied to any particle values.
 
     Parameters
@@ -52,16 +126,15 @@ class Mapping:
         The node grid.
     position : (n, d)
         Positions in this rank's cells, in the unit of `grid.length`. `mpipic.Placement` brings particles there.
-
-    Attributes
-    ----------
-    weights : (local_nodes,)
-        Row sums d = Φᵀ1, right on own and ghost nodes.
+    weight : (n,), optional
+        What each particle counts, V_p > 0, a mass or a volume in any unit: the inner product is then Σ_p V_p q_p r_p,
+        S = diag(d)⁻¹ Φᵀ V, d = Φᵀ V 1, G = Φᵀ V Φ, and filters keep Σ_p V_p q_p. Default: each counts 1.
 
     Raises
     ------
     ValueError
-        A position is not in its rank's cells; names the first. Raised on all ranks together.
+        A position is not in its rank's cells, or a weight is not a finite number above 0; names the first. Raised on
+        all ranks together.
 
     Notes
     -----
@@ -73,43 +146,86 @@ class Mapping:
     Gritton, Berzins, Kirby (2015), eq. 8-13.
     """
 
-    def __init__(self, grid: Grid, position: FloatArray) -> None:
+    def __init__(self, grid: Grid, position: FloatArray, weight: FloatArray | None = None) -> None:
+        self._begin(grid)
+        self.update(position, weight)
+
+    @classmethod
+    def at(cls, grid: Grid, particles: Particles) -> Mapping:
+        """The mapping where these particles are, none weighted. Collective."""
+        mapping = cls.__new__(cls)
+        mapping._begin(grid)
+        mapping.follow(particles)
+        return mapping
+
+    def _begin(self, grid: Grid) -> None:
         self.grid = grid
+        self.version = 0
+        self.phase = lambda name: None
         self._geometry = (grid.padded_shape, grid.layout)
         self._inverse_h = np.array(grid.inverse_h)
-        self.update(position)
 
-    def update(self, position: FloatArray) -> None:
-        """Move the mapping to new positions. Collective; one pass and one sum and fill of the halo."""
+    def update(self, position: FloatArray, weight: FloatArray | None = None) -> None:
+        """Move the mapping to new positions, with these weights. Collective; one pass, one sum and fill of the halo."""
+        self._place(self.grid.coordinate_of(columns_of(position)), weight)
+
+    def follow(self, particles: Particles) -> None:
+        """Move the mapping to where these particles are, none weighted. Collective, as `update`."""
+        self._place(np.ascontiguousarray(particles.coordinate), None)
+
+    def _place(self, coordinate: FloatArray, weight: FloatArray | None) -> None:
         problem = None
         try:
-            self._cell, self._fraction = locate(self.grid, self.grid.coordinate_of(columns_of(position)))
+            self._cell, self._fraction = locate(self.grid, coordinate)
+            self.weight = _checked(weight, len(self._cell))
         except ValueError as error:
             problem = str(error)
         raise_together(self.grid.comm, problem)
+        self.version += 1
+        self._moments: FloatArray | None = None
+        self._overlap = None
         self.weights = self.sums(np.ones(len(self._cell)))
-        self._inverse = np.empty_like(self.weights)
-        generic.invert(self.weights, self._inverse)
+        self.inverse_weights = np.empty_like(self.weights)
+        generic.invert(self.weights, self.inverse_weights)
+
+    @property
+    def moments(self) -> FloatArray:
+        """Pair moments of own cells, (local_cells, 3^d); one pass over the particles when first asked for."""
+        if self._moments is None:
+            self._moments = np.zeros((self.grid.local_cells, 3**self.grid.dim))
+            generic.add_moments(self._cell, self._fraction, self._each(), self._moments)
+        return self._moments
+
+    @property
+    def count(self) -> int:
+        """Particles on this rank."""
+        return len(self._cell)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of what is kept for each particle, cell and node."""
+        arrays = (self._cell, self._fraction, self.weights, self.inverse_weights, self._moments, self.weight)
+        return sum(a.nbytes for a in arrays if a is not None)
+
+    @property
+    def located(self) -> tuple[IntArray, FloatArray]:
+        """Local cell (n,) and local coordinates (n, d) of the particles. Local."""
+        return self._cell, self._fraction
+
+    def _each(self) -> FloatArray:
+        return np.ones(len(self._cell)) if self.weight is None else self.weight
 
     def sums(self, values: FloatArray) -> FloatArray:
-        """Φᵀ values: (n,) or (n, k) to (local_nodes,) or (local_nodes, k).
+        """Φᵀ values, or Φᵀ V values: (n,) or (n, k) to (local_nodes,) or (local_nodes, k).
 
         Σ over own nodes of all ranks = Σ over particles. Collective; one halo sum, one fill.
         """
         rows = columns_of(values)
+        if self.weight is not None:
+            rows = rows * self.weight[:, None]
         out = self.grid.zeros(rows.shape[1])
         generic.add_sums(self._cell, self._fraction, rows, *self._geometry, out)
-        self.grid.sum_halo(out)
-        self.grid.fill_halo(out)
-        return out.reshape((-1, *np.shape(values)[1:]))
-
-    def divide(self, sums: FloatArray, out: FloatArray | None = None) -> FloatArray:
-        """diag(d)⁻¹ sums, 0 on nodes that no particle sees. Local."""
-        return _divide(self._inverse, sums, out)
-
-    def apply_gram(self, nodal: FloatArray) -> FloatArray:
-        """G nodal = ΦᵀΦ nodal, by way of the particles. Collective; one halo sum, one fill."""
-        return self.sums(self.g2p(nodal))
+        return self.complete(out).reshape((-1, *np.shape(values)[1:]))
 
     def p2g(self, values: FloatArray) -> FloatArray:
         """S values: weighted means at the nodes, (n, ...) to (local_nodes, ...). Keeps constants. Collective."""
@@ -135,7 +251,7 @@ class Mapping:
         return out
 
 
-class Sweep:
+class Sweep(NodalMapping):
     """The particles of a run, mapped: kept with them as they move, one pass over memory a step.
 
     Holds at the present positions the sums Φᵀ of all state columns, the row sums d, and the pair moments of every
@@ -175,7 +291,7 @@ class Sweep:
         phase: Callable[[str], None] = lambda name: None,
     ) -> None:
         self.grid, self.particles = grid, particles
-        self._phase = phase
+        self.phase = phase
         self._kernels = BY_DIMENSION[grid.dim]
         shift = tuple(grid.rounded(np.fmod(np.asarray(displacement) / np.array(grid.h), grid.cells)).tolist())
         self.moving = any(shift)
@@ -185,8 +301,10 @@ class Sweep:
         self.routes = migration.Routes(grid, shift) if migration.can_leave(grid, shift) else None
         self.sums = grid.zeros(grid.dim + 2)
         self.weights = self.sums[:, -1]
-        self._inverse = np.empty(grid.local_nodes)
+        self.inverse_weights = np.empty(grid.local_nodes)
         self._moments = np.empty((grid.local_cells, 3**grid.dim))
+        self._overlap, self._travel, self.version = None, 0.0, 0
+        self._pace = max(map(abs, shift))
         self._leaving = np.empty(max(1024, particles.count // 16), dtype=np.int64)
         self.peak = 0.0
         self.migrated = 0
@@ -199,31 +317,19 @@ class Sweep:
     # ------------------------------------------------------------ on nodes
 
     @property
+    def moments(self) -> FloatArray:
+        """Pair moments of own cells, (local_cells, 3^d)."""
+        return self._moments
+
+    @property
     def state_sums(self) -> tuple[FloatArray, FloatArray]:
         """Views of `sums`: Φᵀ(scalar) (local_nodes, 1) and Φᵀ(vector) (local_nodes, d)."""
         return self.sums[:, :1], self.sums[:, 1:-1]
 
-    def divide(self, sums: FloatArray, out: FloatArray | None = None) -> FloatArray:
-        """diag(d)⁻¹ sums, 0 on nodes that no particle sees. Local."""
-        self._phase("nodes")
-        return _divide(self._inverse, sums, out)
-
     def divide_changed(self, sums: FloatArray, rate: float, change: FloatArray, out: FloatArray) -> FloatArray:
         """diag(d)⁻¹ (sums + rate change), one column. Local."""
-        generic.scale_changed(sums, rate, change, self._inverse, out)
+        generic.scale_changed(sums, rate, change, self.inverse_weights, out)
         return out
-
-    def gram(self, nodal: FloatArray, out: FloatArray) -> FloatArray:
-        """out += G nodal, G = ΦᵀΦ, one column; complete it afterwards. Local."""
-        self._kernels.gram(self._moments, *self._cells, nodal, out)
-        return out
-
-    def apply_gram(self, nodal: FloatArray) -> FloatArray:
-        """G nodal, all columns, right on own and ghost nodes. Collective; one halo sum, one fill."""
-        out = np.zeros(nodal.shape)
-        for column in range(nodal.shape[1]):
-            self.gram(nodal[:, column : column + 1], out[:, column : column + 1])
-        return self.complete(out)
 
     def gradient_sums(self, nodal: FloatArray, out: FloatArray) -> FloatArray:
         """out += ΦᵀD^a nodal: one column to d; complete it afterwards. Local."""
@@ -235,14 +341,6 @@ class Sweep:
         self._kernels.cross(self._moments, *self._cells, self.grid.inverse_h, nodal, out, True)
         return out
 
-    def complete(self, sums: FloatArray) -> FloatArray:
-        """Nodal sums made right on own and ghost nodes: one halo sum, one fill. Collective on neighbours."""
-        self._phase("halo")
-        self.grid.sum_halo(sums)
-        self.grid.fill_halo(sums)
-        self._phase("nodes")
-        return sums
-
     def close(self) -> None:
         """Give the communicator of the routes back to MPI; no `advance` after this. Collective."""
         if self.routes is not None:
@@ -251,7 +349,7 @@ class Sweep:
     @property
     def nbytes(self) -> int:
         """Bytes of the nodal sums, the pair moments and the list of leavers."""
-        return sum(a.nbytes for a in (self.sums, self._inverse, self._moments, self._leaving))
+        return sum(a.nbytes for a in (self.sums, self.inverse_weights, self._moments, self._leaving))
 
     # ------------------------------------------------------------ on particles
 
@@ -271,22 +369,30 @@ class Sweep:
         particles to at most 2^d ranks.
         """
         particles, weigh = self.particles, self.moving
-        self._phase("particles")
+        self.phase("particles")
         self._clear(weigh)
         self.peak, breaks, left = self._kernels.advance(
             particles.axes, particles.state, nodal, rates, self.sums, self._moments, 0, particles.count,
             self._geometry, *self._cells, direct, weigh, self.routes is not None, self._leaving,
         )  # fmt: skip
         if self.routes is not None:
-            self._phase("migrate")
+            self.phase("migrate")
             arrived = migration.migrate(particles, self.routes, self._leavers(left))
             self.migrated += arrived
-            self._phase("particles")
+            self.phase("particles")
             self._deposit(particles.count - arrived, particles.count, weigh)
         self._finish_sums(weigh)
         if weigh:
+            self._count_travel()
             self._sort_when_due(breaks)
-        self._phase("other")
+        self.phase("other")
+
+    def _count_travel(self) -> None:
+        """Positions have changed; what only depends on them roughly is looked at again every quarter of a cell."""
+        self.version += 1
+        self._travel += self._pace
+        if self._travel >= REFRESH:
+            self._overlap, self._travel = None, 0.0
 
     def _leavers(self, left: int) -> IntArray:
         if left <= len(self._leaving):
@@ -314,7 +420,7 @@ class Sweep:
             self._kernels.row_sums(self._moments, *self._cells, self.sums, self.sums.shape[1] - 1)
         if weigh:
             self.complete(self.sums)
-            generic.invert(self.weights, self._inverse)
+            generic.invert(self.weights, self.inverse_weights)
         else:
             # the row sums are complete already, on ghosts too: summing the halo again would count them twice
             state = np.ascontiguousarray(self.sums[:, :-1])
@@ -323,7 +429,7 @@ class Sweep:
     # ------------------------------------------------------------ order in memory
 
     def _sort(self) -> None:
-        self._phase("sort")
+        self.phase("sort")
         self.particles.sort_by_cell(self.grid)
         self.sorts += 1
         self._excess, self._fewest_breaks = 0, -1
@@ -339,3 +445,16 @@ class Sweep:
         self._excess += max(0, breaks - self._fewest_breaks)
         if self._excess > 12 * self.particles.count:
             self._sort()
+
+
+def _checked(weight: FloatArray | None, count: int) -> FloatArray | None:
+    """The weights as (count,), or ValueError that names the first that is not a finite number above 0."""
+    if weight is None:
+        return None
+    weight = np.array(weight, dtype=np.float64)
+    if weight.shape != (count,):
+        raise ValueError(f"weight must have shape ({count},), one number a particle, not {weight.shape}")
+    wrong = np.flatnonzero(~(np.isfinite(weight) & (weight > 0)))
+    if wrong.size:
+        raise ValueError(f"weight {wrong[0]} must be a finite number above 0, not {weight[wrong[0]]}")
+    return weight

@@ -21,7 +21,7 @@ from mpipic.simulation import Outcome, Simulation
 from mpipic.warmup import compile_loops
 
 EXIT_CODES = {"completed": 0, "unstable": 3, "interrupted": 130}
-STEP_PHASES = ("particles", "nodes", "halo", "migrate", "sort")
+STEP_PHASES = ("particles", "nodes", "filter", "halo", "migrate", "sort")
 
 
 class Recorder:

@@ -31,7 +31,7 @@ CHOICES: dict[str, dict[str, bool]] = {
     "mapping.basis": {"linear": True, "quadratic": False, "cubic": False},
     "mapping.mass": {"lumped": True, "consistent": False, "penalised": False},
     "mapping.gradient": {"direct": True, "grid": False, "skew": False},
-    "filter.kind": {"none": True, "local": True, "order": True, "chebyshev": True, "exact": False, "svd": False},
+    "filter.kind": {"none": True, "local": True, "order": True, "chebyshev": True, "exact": True, "svd": True},
     "time.integrator": {"symplectic": True, "rk4": False, "midpoint": False},
 }
 

@@ -11,9 +11,9 @@ from typing import Protocol
 import numpy as np
 from mpi4py import MPI
 
-from mpipic import exact, filters
+from mpipic import exact
 from mpipic.diagnostics import ErrorReport, Exact, measure
-from mpipic.formulation import Rates, SymplecticEuler, UnfilteredEuler
+from mpipic.formulation import Euler, Rates, symplectic
 from mpipic.grid import FloatArray, Grid
 from mpipic.mapping import Sweep
 from mpipic.migration import LostParticles, Routes
@@ -137,12 +137,10 @@ class Simulation:
         density, velocity = (self.sweep.divide(sums) for sums in self.sweep.state_sums)
         return {"density": self.grid.owned(density[:, 0]), "velocity": self.grid.owned(velocity)}
 
-    def _formulate(self) -> SymplecticEuler | UnfilteredEuler:
-        gas, kind = self.scene.gas, self.scene.filter.kind
+    def _formulate(self) -> Euler:
+        gas = self.scene.gas
         rates = Rates(self.scene.dt * gas.density, self.scene.dt * gas.sound_speed**2 / gas.density)
-        if kind == "none":
-            return UnfilteredEuler(self.sweep, rates)
-        return SymplecticEuler(self.sweep, rates, filters.create(kind, self.sweep, self.scene.filter))
+        return symplectic(self.sweep, rates, self.scene.filter)
 
     def _create_particles(self) -> Particles:
         """Every rank makes a block of consecutive ids; then each particle goes to the owner of its cell."""

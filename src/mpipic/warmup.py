@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from mpi4py import MPI
 
-from mpipic.filters import create
-from mpipic.formulation import Rates, SymplecticEuler, UnfilteredEuler
+from mpipic.formulation import Rates, symplectic
 from mpipic.grid import Grid
 from mpipic.mapping import Sweep
 from mpipic.particles import Particles
@@ -15,14 +14,10 @@ from mpipic.scene import Scene
 
 def compile_loops(scene: Scene) -> None:
     """Take one step of the scene's kind with two particles on a small grid, so that every loop is compiled. Local."""
-    dim, kind = scene.dim, scene.filter.kind
+    dim = scene.dim
     grid = Grid((2,) * dim, (1.0,) * dim, MPI.COMM_SELF)
     particles = Particles(grid.h, {"density": 0, "velocity": dim})
     particles.append(np.full((2, dim), 0.5), np.zeros((2, 1 + dim)), np.arange(2))
     sweep = Sweep(grid, particles, (0.125,) * dim)
-    rates = Rates(1.0, 1.0)
-    if kind == "none":
-        UnfilteredEuler(sweep, rates).step()
-    else:
-        SymplecticEuler(sweep, rates, create(kind, sweep, scene.filter)).step()
+    symplectic(sweep, Rates(1.0, 1.0), scene.filter).step()
     particles.take(np.arange(1))

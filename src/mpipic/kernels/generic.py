@@ -83,6 +83,32 @@ def add_sums(cell, fraction, values, shape, layout, out):
 
 
 @hot
+def shape_functions(cell, fraction, shape, layout, node, value):
+    """The nodes that each particle touches and its weights there, (n, 2^d)."""
+    dim = fraction.shape[1]
+    for p in range(cell.size):
+        first = node_of(cell[p], shape, layout)
+        for corner in range(1 << dim):
+            node[p, corner] = first + _corner(corner, dim, layout)
+            value[p, corner] = _weight(corner, fraction, p)
+
+
+@hot
+def add_moments(cell, fraction, weight, out):
+    """out (cells, 3^d) += the pair moments of every particle times its weight (see `kernels.cells`)."""
+    dim, width = fraction.shape[1], out.shape[1]
+    for p in range(cell.size):
+        for q in range(width):
+            product, rest = weight[p], q
+            for a in range(dim):
+                rest, pair = divmod(rest, 3)
+                upper = fraction[p, a]
+                lower = 1.0 - upper
+                product *= lower * lower if pair == 0 else lower * upper if pair == 1 else upper * upper
+            out[cell[p], q] += product
+
+
+@hot
 def add_interpolated(cell, fraction, nodal, shape, layout, out):
     """out += Φ nodal, column by column."""
     dim, columns = fraction.shape[1], nodal.shape[1]

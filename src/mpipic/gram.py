@@ -1,0 +1,339 @@
+"""Solving with the Gram matrix G = ΦᵀΦ: a stencil on nodes, PETSc's Krylov solvers, and a preconditioner for it.
+
+G is scaled to unit diagonal: with r = sqrt(diag G) the unknown is y = r a in (r⁻¹ G r⁻¹) y = r⁻¹ b. Nodes that no
+particle sees drop out: their row is 0, and so is their value.
+
+The preconditioner is made of one short symmetric stencil per axis. On a lattice the scaled G is the tensor product of
+one-dimensional matrices tridiag(s, 1, s); on other patterns it resembles that, with s the mean over nodes of the
+entries along the axis. The inverse of each factor is approximated by the polynomial of degree 2 in it that is closest
+on its spectrum [1 - 2 s, 1 + 2 s], a stencil of five nodes. It is positive definite, the same on any number of ranks,
+and needs one halo exchange. Scaling by diag(G), not by the row sums d, matters on disordered particles: a node whose
+particles are all far from it has a smaller diagonal than its row sum says.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Hashable
+from math import comb
+from typing import Any, Protocol
+
+import numpy as np
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from mpipic.grid import FloatArray, Grid
+from mpipic.halo import Halo
+from mpipic.kernels import stencil
+
+REACH = 2
+"""Nodes either side that the preconditioner's stencil along an axis takes."""
+EARLIER = 5
+"""Solutions of a series that the first guess of the next is extrapolated from."""
+ENTRIES_NOT_NEEDED = ("none", "jacobi", "python")
+"""Preconditioners of PETSc that work without matrix entries."""
+
+
+class NotConverged(ArithmeticError):
+    """A solver missed its tolerance; the message names what it reached, and after how many iterations."""
+
+
+class GramMatrix(Protocol):
+    """What the solver needs of a mapping."""
+
+    grid: Grid
+    version: int
+    """Counts changes of positions."""
+
+    def add_gram_entries(self, layout: tuple[int, int, int], entries: FloatArray) -> None:
+        """entries += half of G's diagonals (see `kernels.stencil`), ghosts not yet added to their owners. Local."""
+        ...
+
+
+class GramStencil:
+    """G at the mapping's positions, scaled to unit diagonal; a PETSc shell matrix on own nodes, x fastest.
+
+    Attributes
+    ----------
+    root, scale : (own nodes,)
+        r and 1/r, both 0 on nodes that no particle sees.
+
+    Notes
+    -----
+    Memory per node: 8 (3^d + 1) / 2 bytes of entries and 3 vectors. `refresh` is collective: two halo exchanges per
+    diagonal; `mult` one.
+    """
+
+    def __init__(self, mapping: GramMatrix) -> None:
+        grid = mapping.grid
+        self.mapping, self.grid = mapping, grid
+        self.halo = Halo(grid.comm, grid.cells, grid.starts, REACH)
+        steps = np.array([1, *self.halo.layout[1:]])
+        self.shape = grid.padded_shape
+        self.neighbours = stencil.half_stencil(grid.dim)
+        self.offsets = self.neighbours @ steps
+        self.entries = np.zeros((len(self.offsets), self.halo.local_nodes))
+        self.values = np.zeros(self.halo.local_nodes)
+        self.root, self.scale = np.empty(grid.local_cells), np.empty(grid.local_cells)
+        self.version = -1
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the arrays held."""
+        return sum(a.nbytes for a in (self.entries, self.values, self.root, self.scale))
+
+    def refresh(self) -> bool:
+        """Follow the mapping to its present positions; False if it has not moved. Collective."""
+        if self.version == self.mapping.version:
+            return False
+        self.version = self.mapping.version
+        halo, rows = self.halo, tuple(self.entries)
+        self.entries.fill(0.0)
+        self.mapping.add_gram_entries(halo.layout, self.entries)
+        halo.add(*rows)
+        root, scale = np.empty((2, halo.local_nodes))
+        halo.fill(rows[0])
+        stencil.root_and_scale(rows[0], root, scale)
+        self.root[:], self.scale[:] = halo.own(root).ravel(), halo.own(scale).ravel()
+        stencil.scale_entries(self.entries, self.offsets, scale, self.shape, halo.layout)
+        halo.fill(*rows)
+        return True
+
+    def load(self, own: FloatArray) -> FloatArray:
+        """A padded copy of own values, ghosts filled. Collective."""
+        block = self.halo.own(self.values)
+        block[...] = own.reshape(block.shape)
+        self.halo.fill(self.values)
+        return self.values
+
+    def mult(self, mat: Any, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """y = G x, as PETSc calls it. Collective; one halo exchange."""
+        values = self.load(x.getArray(readonly=True))
+        with y as out:
+            stencil.multiply(self.entries, self.offsets, values, self.shape, self.halo.layout, out)
+
+    def getDiagonal(self, mat: Any, y: PETSc.Vec) -> None:
+        """The diagonal, 1 also where there is nothing to solve: PETSc's Jacobi divides by it. Local."""
+        y.set(1.0)
+
+    def axis_means(self) -> FloatArray:
+        """Mean over nodes that particles see of the entries to the next node along each axis. Collective."""
+        along = [h for h, offset in enumerate(self.neighbours.tolist()) if sorted(offset) == [0, 0, 1]]
+        sums = np.array([self.halo.own(self.entries[h]).sum() for h in (0, *along)])
+        self.grid.comm.Allreduce(MPI.IN_PLACE, sums)
+        return np.asarray(sums[1:] / max(sums[0], 1.0))
+
+    def assemble(self, matrix: PETSc.Mat) -> None:
+        """Put the entries into an assembled matrix, 1 on the diagonal of empty nodes. Collective."""
+        halo = self.halo
+        own = halo.own(np.arange(halo.local_nodes)).ravel()
+        number = np.full(halo.local_nodes, -1.0)
+        first = matrix.getOwnershipRange()[0]
+        halo.own(number)[...] = (first + np.arange(own.size)).reshape(halo.own(number).shape)
+        halo.fill(number)
+        columns = [own] + [own + o for o in self.offsets[1:]] + [own - o for o in self.offsets[1:]]
+        entries = [np.where(self.root > 0, self.entries[0, own], 1.0)]
+        entries += [self.entries[h, own] for h in range(1, len(self.offsets))]
+        entries += [self.entries[h, own - self.offsets[h]] for h in range(1, len(self.offsets))]
+        starts = np.arange(own.size + 1) * len(columns)
+        column = number[np.stack(columns, axis=1).ravel()]
+        matrix.zeroEntries()
+        matrix.setValuesIJV(
+            starts.astype(PETSc.IntType), column.astype(PETSc.IntType), np.stack(entries, axis=1).ravel(),
+            addv=PETSc.InsertMode.ADD_VALUES,
+        )  # fmt: skip
+        matrix.assemble()
+
+
+def inverse_stencil(coupling: float) -> FloatArray:
+    """Weights (REACH + 1,) of the symmetric stencil nearest the inverse of the periodic tridiag(s, 1, s), s = coupling.
+
+    The polynomial p of degree 2 with the least max |1 - λ p(λ)| over the spectrum, by Chebyshev; λ = 1 + 2 s cos θ. A
+    spectrum that reaches 0 is cut there at 0.02 of its upper end: below, 1 - λ p(λ) still lies between 0 and 1, so that
+    the stencil is positive definite whatever the coupling is. Local.
+    """
+    s = min(coupling, 0.49)
+    middle, half = 1.0, 2.0 * s
+    if half < 1e-8:
+        return np.eye(1, REACH + 1)[0]
+    # 1 - λ p(λ) = T₃(x) / T₃(x₀) with x = (middle - λ) / half = -cos θ, x₀ = middle / half
+    x0 = middle / half
+    top = 4.0 * x0**3 - 3.0 * x0
+    # p(λ) = (T₃(x₀) - T₃(x)) / (T₃(x₀) λ), and λ = half (x₀ - x)
+    scale = 1.0 / (top * half)
+    # (T₃(x₀) - T₃(x)) / (x₀ - x) = 4 (x₀² + x₀ x + x²) - 3, with x = -cos θ, x² = (1 + cos 2θ) / 2
+    return scale * np.array([4.0 * x0 * x0 - 1.0, -2.0 * x0, 1.0])
+
+
+class TensorPreconditioner:
+    """One short stencil per axis, all applied in one pass; a PETSc shell preconditioner.
+
+    Notes
+    -----
+    `refresh` is collective, one reduction; `apply` too, one halo exchange.
+    """
+
+    def __init__(self, matrix: GramStencil) -> None:
+        self.matrix = matrix
+        shape = matrix.halo.ghost_shape
+        self._plane, self._line = np.empty(int(np.prod(shape[:2]))), np.empty(shape[0])
+        self.weights = np.eye(1, REACH + 1).repeat(3, axis=0)
+
+    def refresh(self) -> None:
+        """Take the couplings of the matrix as it is now."""
+        for axis, coupling in enumerate(self.matrix.axis_means()):
+            self.weights[axis] = inverse_stencil(float(coupling))
+
+    def apply(self, pc: Any, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """y = the stencils times x, as PETSc calls it."""
+        matrix = self.matrix
+        values = matrix.load(x.getArray(readonly=True))
+        with y as out:
+            stencil.convolve(
+                values, self.weights, matrix.shape, matrix.halo.layout, self._plane, self._line, out
+            )  # fmt: skip
+
+
+class GramSolver:
+    """a = G⁺ b on nodes, to a relative residual, by a PETSc KSP.
+
+    Conjugate gradients with `TensorPreconditioner`, unless PETSc's options with the prefix say otherwise
+    (``-filter_ksp_type``, ``-filter_pc_type``, ``-filter_ksp_monitor``, ...). A preconditioner that needs matrix
+    entries gets them: the stencil is then assembled as an AIJ matrix, its structure once, its values at every move.
+
+    Parameters
+    ----------
+    mapping
+        Where G comes from; followed as it moves.
+    tolerance
+        On (r, B r)^½ / (b, B b)^½, r the residual, B the preconditioner: where B is near G⁻¹, that is the relative
+        error of Φ a on the particles.
+    prefix
+        Of the options.
+
+    Attributes
+    ----------
+    iterations : int
+        Of the last solve.
+
+    Notes
+    -----
+    Collective. An iteration costs two halo exchanges and two reductions. Memory per node: the stencil's, about ten
+    vectors, and EARLIER vectors for each column of each series.
+    """
+
+    def __init__(self, mapping: GramMatrix, tolerance: float, prefix: str = "filter_") -> None:
+        self.matrix = GramStencil(mapping)
+        self.preconditioner = TensorPreconditioner(self.matrix)
+        self.tolerance, self.iterations = tolerance, 0
+        self._earlier: dict[Hashable, deque[FloatArray]] = {}
+        comm, own = mapping.grid.comm, self.matrix.root.size
+        self._shell = PETSc.Mat().createPython(((own, None), (own, None)), self.matrix, comm=comm)
+        self._assembled: PETSc.Mat | None = None
+        self._ksp = self._configure(comm, prefix)
+        self._x, self._b = self._shell.createVecs()
+
+    def _configure(self, comm: MPI.Comm, prefix: str) -> PETSc.KSP:
+        ksp = PETSc.KSP().create(comm)
+        ksp.setOptionsPrefix(prefix)
+        ksp.setType(PETSc.KSP.Type.CG)
+        ksp.setNormType(PETSc.KSP.NormType.NATURAL)
+        ksp.setTolerances(rtol=self.tolerance, atol=0.0, divtol=1e100)
+        pc = ksp.getPC()
+        pc.setType(PETSc.PC.Type.PYTHON)
+        pc.setPythonContext(self.preconditioner)
+        chosen = PETSc.Options(prefix).getString("pc_type", "python")
+        if chosen not in ENTRIES_NOT_NEEDED:
+            self._assembled = self._structure(comm)
+        ksp.setOperators(self._shell if self._assembled is None else self._assembled)
+        ksp.setFromOptions()
+        return ksp
+
+    def _structure(self, comm: MPI.Comm) -> PETSc.Mat:
+        own, row = self.matrix.root.size, 2 * len(self.matrix.offsets) - 1
+        matrix = PETSc.Mat().createAIJ(((own, None), (own, None)), nnz=row, comm=comm)
+        matrix.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
+        matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        return matrix
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the arrays held, without PETSc's work vectors."""
+        series = sum(vector.nbytes for earlier in self._earlier.values() for vector in earlier)
+        return self.matrix.nbytes + series + 8 * 2 * self.matrix.root.size
+
+    def solve(self, sums: FloatArray, series: Hashable | None = None) -> FloatArray:
+        """G⁺ sums, right on own and ghost nodes: (local_nodes,) to (local_nodes,).
+
+        Calls with the same `series`, which is not None, are one quantity at equally spaced times: the first guess is
+        extrapolated from the earlier answers. Sums that are not finite give NaN.
+
+        Raises
+        ------
+        NotConverged
+        """
+        matrix, nodes = self.matrix, self.matrix.grid.nodes
+        if matrix.refresh():
+            self._refresh()
+        own = nodes.own(sums).ravel() * matrix.scale
+        size = self._power_of_two(own)
+        answer = np.full(own.size, np.nan)
+        if np.isfinite(size):
+            earlier = deque() if series is None else self._earlier.setdefault(series, deque(maxlen=EARLIER))
+            answer = self._solve(own, size, earlier)
+            earlier.appendleft(answer)
+        out = np.zeros(nodes.local_nodes)
+        block = nodes.own(out)
+        block[...] = answer.reshape(block.shape)
+        nodes.fill(out)
+        return out
+
+    def _refresh(self) -> None:
+        self.preconditioner.refresh()
+        self._shell.assemble()
+        if self._assembled is not None:
+            self.matrix.assemble(self._assembled)
+
+    def _solve(self, right: FloatArray, size: float, earlier: deque[FloatArray]) -> FloatArray:
+        """Unscaled answer on own nodes to the scaled right-hand side."""
+        matrix = self.matrix
+        with self._b as b:
+            np.divide(right, size, out=b)
+        with self._x as x:
+            _extrapolate(earlier, x)
+            x *= matrix.root / size
+        self._ksp.setInitialGuessNonzero(bool(earlier))
+        self._ksp.solve(self._b, self._x)
+        self._check()
+        return np.asarray(self._x.getArray(readonly=True) * (matrix.scale * size))
+
+    def _power_of_two(self, own: FloatArray) -> float:
+        """A size of the right-hand side on all ranks: without it, tiny or huge values under- or overflow in products.
+
+        A power of two, which rounds nothing; 1 for zeros. Collective; one reduction.
+        """
+        largest = float(np.abs(own).max(initial=0.0))
+        # what MAX makes of a NaN differs between MPIs: infinity stands in for it
+        largest = self.matrix.grid.comm.allreduce(largest if np.isfinite(largest) else np.inf, op=MPI.MAX)
+        return largest if largest == np.inf else float(2.0 ** (np.frexp(largest)[1] - 1)) if largest else 1.0
+
+    def _check(self) -> None:
+        ksp = self._ksp
+        self.iterations = ksp.getIterationNumber()
+        if ksp.getConvergedReason() < 0:
+            reasons = {
+                value: name for name, value in vars(PETSc.KSP.ConvergedReason).items() if name.startswith("DIVERGED")
+            }
+            why = reasons.get(ksp.getConvergedReason(), str(ksp.getConvergedReason()))
+            raise NotConverged(
+                f"solving with the Gram matrix ended at residual {ksp.getResidualNorm():.3g} after {self.iterations} "
+                f"iterations ({why.lower()}); asked for is {self.tolerance:g} of the right-hand side's norm"
+            )
+
+
+def _extrapolate(earlier: deque[FloatArray], out: FloatArray) -> None:
+    """The polynomial through the `earlier` values (latest first), one step on; zero without any."""
+    out.fill(0.0)
+    order = len(earlier)
+    for j, values in enumerate(earlier):
+        out += (-1) ** j * comb(order, j + 1) * values

@@ -1,0 +1,136 @@
+"""The Gram matrix as a stencil on nodes: assembled from pair moments, applied, and the stencil that nearly inverts it.
+
+G is symmetric, so of its 3^d diagonals those with a positive offset and the main one are kept: entries[h, n] couples
+node n to node n + offsets[h]. Arrays are padded (see `mpipic.halo`) but where compact is said: own
+nodes only. `layout` is the padded arrays', `shape` the own nodes per axis. Inner loops run along x, over contiguous
+memory.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mpipic.kernels.common import U, hot
+
+
+def half_stencil(dim):
+    """Offsets (h, 3) of one half of the 3^d neighbours, x first: the node itself, then those that follow it."""
+    spans = [(-1, 0, 1) if a < dim else (0,) for a in range(3)]
+    every = [(i, j, k) for k in spans[2] for j in spans[1] for i in spans[0]]
+    return np.array(every[len(every) // 2 :], dtype=np.int64)
+
+
+def moment_terms(dim):
+    """Where the pair moments of a cell go: rows (moment, diagonal, i, j, k): its entry at node (i, j, k) of the cell.
+
+    Along an axis, pairs 0 and 2 belong to the lower and upper node alone, pair 1 couples the two.
+    """
+    number = {tuple(offset): h for h, offset in enumerate(half_stencil(dim).tolist())}
+    terms = []
+    for moment in range(3**dim):
+        pairs = [moment // 3**a % 3 for a in range(dim)] + [0] * (3 - dim)
+        coupled = [a for a in range(3) if pairs[a] == 1]
+        node = [int(pair == 2) for pair in pairs]
+        for ends in range(2 ** max(0, len(coupled) - 1)):
+            # the last coupled axis, the slowest, leads upwards; along the others both ways occur
+            start, offset = list(node), [0, 0, 0]
+            for bit, a in enumerate(coupled):
+                down = (ends >> bit) & 1
+                start[a], offset[a] = down, 1 - 2 * down
+            terms.append((moment, number[tuple(offset)], *start))
+    return np.array(terms, dtype=np.int64)
+
+
+@hot
+def add_moments(moments, terms, shape, layout, entries):
+    """entries += G's entries from the moments of all own cells (cells, 3^d); ghosts above get their share."""
+    width = moments.shape[1]
+    m = moments.reshape(-1)
+    for k in range(shape[2]):
+        for j in range(shape[1]):
+            q = (k * shape[1] + j) * shape[0] * width
+            for t in range(terms.shape[0]):
+                start = layout[0] + terms[t, 2] + (j + terms[t, 3]) * layout[1] + (k + terms[t, 4]) * layout[2]
+                row = entries[terms[t, 1], start : start + shape[0]]
+                for i in range(row.size):
+                    row[i] += m[U(q + terms[t, 0] + i * width)]
+
+
+@hot
+def root_and_scale(diagonal, root, scale):
+    """root = sqrt(diagonal), scale = 1 / root; both 0 where the diagonal is 0 (a node that no particle sees)."""
+    for n in range(diagonal.size):
+        r = np.sqrt(diagonal[n])
+        root[n] = r
+        scale[n] = 1.0 / r if r > 0.0 else 0.0
+
+
+@hot
+def scale_entries(entries, offsets, scale, shape, layout):
+    """Own entries[h, n] *= scale[n] scale[n + offset]: then the diagonal is 1, or 0 on nodes that no particle sees."""
+    for k in range(shape[2]):
+        for j in range(shape[1]):
+            n = layout[0] + j * layout[1] + k * layout[2]
+            here = scale[n : n + shape[0]]
+            for h in range(offsets.size):
+                row, there = entries[h, n : n + shape[0]], scale[n + offsets[h] : n + offsets[h] + shape[0]]
+                for i in range(row.size):
+                    row[i] *= here[i] * there[i]
+
+
+@hot
+def multiply(entries, offsets, values, shape, layout, out):
+    """out = G values on own nodes, out compact (nodes,), values padded with ghosts filled."""
+    for k in range(shape[2]):
+        for j in range(shape[1]):
+            n, first = layout[0] + j * layout[1] + k * layout[2], (k * shape[1] + j) * shape[0]
+            row = out[first : first + shape[0]]
+            middle, here = entries[0, n : n + shape[0]], values[n : n + shape[0]]
+            for i in range(row.size):
+                row[i] = middle[i] * here[i]
+            for h in range(1, offsets.size):
+                up, down = n + offsets[h], n - offsets[h]
+                next_entry, next_value = entries[h, n : n + shape[0]], values[up : up + shape[0]]
+                last_entry, last_value = entries[h, down : down + shape[0]], values[down : down + shape[0]]
+                for i in range(row.size):
+                    row[i] += next_entry[i] * next_value[i] + last_entry[i] * last_value[i]
+
+
+@hot
+def convolve(values, weights, shape, layout, plane, line, out):
+    """out = the product of one symmetric stencil per axis, applied to `values` (padded, ghosts filled), out compact.
+
+    weights : (3, reach + 1)
+        Per axis the middle weight and those to either side; (1, 0, ...) along an axis that there is not.
+    plane, line : work arrays: one padded plane (as many numbers as a padded z layer), one padded line.
+    """
+    reach = weights.shape[1] - 1
+    sides = np.array([0 if weights[a, 1:].any() == 0 else reach for a in range(3)])
+    begin = layout[0] - sides[0]
+    length = shape[0] + 2 * sides[0]
+    for k in range(shape[2]):
+        for j in range(-sides[1], shape[1] + sides[1]):
+            n = begin + j * layout[1] + k * layout[2]
+            r = (j + sides[1]) * length
+            _combine(values, weights[2], sides[2], n, layout[2], length, plane[r : r + length])
+        for j in range(shape[1]):
+            r = (j + sides[1]) * length
+            _combine(plane, weights[1], sides[1], r, length, length, line)
+            first = (k * shape[1] + j) * shape[0]
+            _combine(line, weights[0], sides[0], sides[0], 1, shape[0], out[first : first + shape[0]])
+
+
+@hot
+def _combine(values, weights, reach, start, stride, count, out):
+    """out[i] = Σ_s weights[|s|] values[start + s stride + i], |s| <= reach."""
+    here = values[start : start + count]
+    row = out[:count]
+    w = weights[0]
+    for i in range(row.size):
+        row[i] = w * here[i]
+    for s in range(1, reach + 1):
+        up = values[start + s * stride : start + s * stride + count]
+        down = values[start - s * stride : start - s * stride + count]
+        w = weights[s]
+        for i in range(row.size):
+            row[i] += w * (up[i] + down[i])
