@@ -43,6 +43,7 @@ class Plan:
     layout: str
     steps: int
     repeats: int
+    tolerance: float = 1e-10
 
 
 @dataclass(frozen=True)
@@ -104,7 +105,7 @@ def scene_of(dim: int, kind: str, plan: Plan) -> Scene:
             "particles": particles,
             "gas": {"flow": [FLOW] * dim},
             "initial": {"profile": "plane-wave"},
-            "filter": {"kind": kind},
+            "filter": {"kind": kind, **({"tolerance": plan.tolerance} if kind == "exact" else {})},
             "time": {"cfl": CFL, "steps": WARM_STEPS + plan.steps * plan.repeats},
         },
         name="bench",

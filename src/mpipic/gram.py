@@ -1,7 +1,7 @@
 """Solving with the Gram matrix G = ΦᵀΦ: a stencil on nodes, PETSc's Krylov solvers, and a preconditioner for it.
 
-G is scaled to unit diagonal: with r = sqrt(diag G) the unknown is y = r a in (r⁻¹ G r⁻¹) y = r⁻¹ b. Nodes that no
-particle sees drop out: their row is 0, and so is their value.
+G is scaled to unit diagonal: with r = sqrt(diag G) the unknown is y = r a in (r⁻¹ G r⁻¹) y = r⁻¹ b. For nodes that no
+particle sees it reads y = 0, and they get a = 0.
 
 The preconditioner is made of one short symmetric stencil per axis. On a lattice the scaled G is the tensor product of
 one-dimensional matrices tridiag(s, 1, s); on other patterns it resembles that, with s the mean over nodes of the
@@ -13,7 +13,6 @@ particles are all far from it has a smaller diagonal than its row sum says.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Hashable
 from math import comb
 from typing import Any, Protocol
@@ -28,7 +27,7 @@ from mpipic.kernels import stencil
 
 REACH = 2
 """Nodes either side that the preconditioner's stencil along an axis takes."""
-EARLIER = 5
+EARLIER = 2
 """Solutions of a series that the first guess of the next is extrapolated from."""
 ENTRIES_NOT_NEEDED = ("none", "jacobi", "python")
 """Preconditioners of PETSc that work without matrix entries."""
@@ -57,6 +56,8 @@ class GramStencil:
     ----------
     root, scale : (own nodes,)
         r and 1/r, both 0 on nodes that no particle sees.
+    unseen
+        Indices of those nodes.
 
     Notes
     -----
@@ -73,14 +74,16 @@ class GramStencil:
         self.neighbours = stencil.half_stencil(grid.dim)
         self.offsets = self.neighbours @ steps
         self.entries = np.zeros((len(self.offsets), self.halo.local_nodes))
-        self.values = np.zeros(self.halo.local_nodes)
+        self.values, self._product = np.zeros((2, self.halo.local_nodes))
+        last = np.array(self.shape) - 1
+        self._span = (self.halo.layout[0], self.halo.layout[0] + int(last @ steps) + 1)
         self.root, self.scale = np.empty(grid.local_cells), np.empty(grid.local_cells)
         self.version = -1
 
     @property
     def nbytes(self) -> int:
         """Bytes of the arrays held."""
-        return sum(a.nbytes for a in (self.entries, self.values, self.root, self.scale))
+        return sum(a.nbytes for a in (self.entries, self.values, self._product, self.root, self.scale))
 
     def refresh(self) -> bool:
         """Follow the mapping to its present positions; False if it has not moved. Collective."""
@@ -95,6 +98,7 @@ class GramStencil:
         halo.fill(rows[0])
         stencil.root_and_scale(rows[0], root, scale)
         self.root[:], self.scale[:] = halo.own(root).ravel(), halo.own(scale).ravel()
+        self.unseen = np.flatnonzero(self.root == 0.0)
         stencil.scale_entries(self.entries, self.offsets, scale, self.shape, halo.layout)
         halo.fill(*rows)
         return True
@@ -109,11 +113,13 @@ class GramStencil:
     def mult(self, mat: Any, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """y = G x, as PETSc calls it. Collective; one halo exchange."""
         values = self.load(x.getArray(readonly=True))
+        stencil.multiply(self.entries, self.offsets, values, *self._span, self._product)
+        product = self.halo.own(self._product)
         with y as out:
-            stencil.multiply(self.entries, self.offsets, values, self.shape, self.halo.layout, out)
+            out.reshape(product.shape)[...] = product
 
     def getDiagonal(self, mat: Any, y: PETSc.Vec) -> None:
-        """The diagonal, 1 also where there is nothing to solve: PETSc's Jacobi divides by it. Local."""
+        """The diagonal: ones. Local."""
         y.set(1.0)
 
     def axis_means(self) -> FloatArray:
@@ -124,7 +130,7 @@ class GramStencil:
         return np.asarray(sums[1:] / max(sums[0], 1.0))
 
     def assemble(self, matrix: PETSc.Mat) -> None:
-        """Put the entries into an assembled matrix, 1 on the diagonal of empty nodes. Collective."""
+        """Put the entries into an assembled matrix. Collective."""
         halo = self.halo
         own = halo.own(np.arange(halo.local_nodes)).ravel()
         number = np.full(halo.local_nodes, -1.0)
@@ -132,7 +138,7 @@ class GramStencil:
         halo.own(number)[...] = (first + np.arange(own.size)).reshape(halo.own(number).shape)
         halo.fill(number)
         columns = [own] + [own + o for o in self.offsets[1:]] + [own - o for o in self.offsets[1:]]
-        entries = [np.where(self.root > 0, self.entries[0, own], 1.0)]
+        entries = [np.ones(own.size)]
         entries += [self.entries[h, own] for h in range(1, len(self.offsets))]
         entries += [self.entries[h, own - self.offsets[h]] for h in range(1, len(self.offsets))]
         starts = np.arange(own.size + 1) * len(columns)
@@ -192,6 +198,33 @@ class TensorPreconditioner:
             stencil.convolve(
                 values, self.weights, matrix.shape, matrix.halo.layout, self._plane, self._line, out
             )  # fmt: skip
+            out[matrix.unseen] = 0.0
+
+
+class Series:
+    """The last EARLIER solutions of one quantity at equally spaced times, (EARLIER, own nodes)."""
+
+    def __init__(self, size: int) -> None:
+        self._ring = np.empty((EARLIER, size))
+        self.count = 0
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes held."""
+        return self._ring.nbytes
+
+    def append(self, values: FloatArray) -> None:
+        """Keep the newest, and forget the oldest."""
+        self._ring[self.count % EARLIER] = values
+        self.count += 1
+
+    def extrapolate(self, factors: FloatArray, factor: float, out: FloatArray) -> None:
+        """The polynomial through what there is, one step on, times one factor a node and one for all."""
+        order = min(self.count, EARLIER)
+        weights = np.zeros(EARLIER)
+        for j in range(order):
+            weights[(self.count - 1 - j) % EARLIER] = (-1) ** j * comb(order, j + 1) * factor
+        stencil.extrapolate(self._ring[:order], weights[:order], factors, out)
 
 
 class GramSolver:
@@ -226,7 +259,7 @@ class GramSolver:
         self.matrix = GramStencil(mapping)
         self.preconditioner = TensorPreconditioner(self.matrix)
         self.tolerance, self.iterations = tolerance, 0
-        self._earlier: dict[Hashable, deque[FloatArray]] = {}
+        self._earlier: dict[Hashable, Series] = {}
         comm, own = mapping.grid.comm, self.matrix.root.size
         self._shell = PETSc.Mat().createPython(((own, None), (own, None)), self.matrix, comm=comm)
         self._assembled: PETSc.Mat | None = None
@@ -259,7 +292,7 @@ class GramSolver:
     @property
     def nbytes(self) -> int:
         """Bytes of the arrays held, without PETSc's work vectors."""
-        series = sum(vector.nbytes for earlier in self._earlier.values() for vector in earlier)
+        series = sum(earlier.nbytes for earlier in self._earlier.values())
         return self.matrix.nbytes + series + 8 * 2 * self.matrix.root.size
 
     def solve(self, sums: FloatArray, series: Hashable | None = None) -> FloatArray:
@@ -275,16 +308,16 @@ class GramSolver:
         matrix, nodes = self.matrix, self.matrix.grid.nodes
         if matrix.refresh():
             self._refresh()
-        own = nodes.own(sums).ravel() * matrix.scale
-        size = self._power_of_two(own)
-        answer = np.full(own.size, np.nan)
+        block = nodes.own(sums)
+        right = (block * matrix.scale.reshape(block.shape)).ravel()
+        size = self._power_of_two(right)
+        out = np.full(nodes.local_nodes, np.nan)
         if np.isfinite(size):
-            earlier = deque() if series is None else self._earlier.setdefault(series, deque(maxlen=EARLIER))
-            answer = self._solve(own, size, earlier)
-            earlier.appendleft(answer)
-        out = np.zeros(nodes.local_nodes)
-        block = nodes.own(out)
-        block[...] = answer.reshape(block.shape)
+            earlier = self._earlier.setdefault(series, Series(right.size)) if series is not None else None
+            answer = self._solve(right, size, earlier)
+            if earlier is not None:
+                earlier.append(answer)
+            nodes.own(out)[...] = answer.reshape(block.shape)
         nodes.fill(out)
         return out
 
@@ -294,25 +327,27 @@ class GramSolver:
         if self._assembled is not None:
             self.matrix.assemble(self._assembled)
 
-    def _solve(self, right: FloatArray, size: float, earlier: deque[FloatArray]) -> FloatArray:
+    def _solve(self, right: FloatArray, size: float, earlier: Series | None) -> FloatArray:
         """Unscaled answer on own nodes to the scaled right-hand side."""
         matrix = self.matrix
         with self._b as b:
             np.divide(right, size, out=b)
         with self._x as x:
-            _extrapolate(earlier, x)
-            x *= matrix.root / size
-        self._ksp.setInitialGuessNonzero(bool(earlier))
+            if earlier is not None:
+                earlier.extrapolate(matrix.root, 1.0 / size, x)
+        self._ksp.setInitialGuessNonzero(earlier is not None and earlier.count > 0)
         self._ksp.solve(self._b, self._x)
         self._check()
-        return np.asarray(self._x.getArray(readonly=True) * (matrix.scale * size))
+        answer = self._x.getArray(readonly=True) * matrix.scale
+        answer *= size
+        return np.asarray(answer)
 
     def _power_of_two(self, own: FloatArray) -> float:
         """A size of the right-hand side on all ranks: without it, tiny or huge values under- or overflow in products.
 
         A power of two, which rounds nothing; 1 for zeros. Collective; one reduction.
         """
-        largest = float(np.abs(own).max(initial=0.0))
+        largest = max(float(own.max(initial=0.0)), -float(own.min(initial=0.0)))
         # what MAX makes of a NaN differs between MPIs: infinity stands in for it
         largest = self.matrix.grid.comm.allreduce(largest if np.isfinite(largest) else np.inf, op=MPI.MAX)
         return largest if largest == np.inf else float(2.0 ** (np.frexp(largest)[1] - 1)) if largest else 1.0
@@ -329,11 +364,3 @@ class GramSolver:
                 f"solving with the Gram matrix ended at residual {ksp.getResidualNorm():.3g} after {self.iterations} "
                 f"iterations ({why.lower()}); asked for is {self.tolerance:g} of the right-hand side's norm"
             )
-
-
-def _extrapolate(earlier: deque[FloatArray], out: FloatArray) -> None:
-    """The polynomial through the `earlier` values (latest first), one step on; zero without any."""
-    out.fill(0.0)
-    order = len(earlier)
-    for j, values in enumerate(earlier):
-        out += (-1) ** j * comb(order, j + 1) * values

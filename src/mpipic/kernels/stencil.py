@@ -12,6 +12,9 @@ import numpy as np
 
 from mpipic.kernels.common import U, hot
 
+CELLS_AT_ONCE = 64
+NODES_AT_ONCE = 2048
+
 
 def half_stencil(dim):
     """Offsets (h, 3) of one half of the 3^d neighbours, x first: the node itself, then those that follow it."""
@@ -48,12 +51,14 @@ def add_moments(moments, terms, shape, layout, entries):
     m = moments.reshape(-1)
     for k in range(shape[2]):
         for j in range(shape[1]):
-            q = (k * shape[1] + j) * shape[0] * width
-            for t in range(terms.shape[0]):
-                start = layout[0] + terms[t, 2] + (j + terms[t, 3]) * layout[1] + (k + terms[t, 4]) * layout[2]
-                row = entries[terms[t, 1], start : start + shape[0]]
-                for i in range(row.size):
-                    row[i] += m[U(q + terms[t, 0] + i * width)]
+            for begin in range(0, shape[0], CELLS_AT_ONCE):
+                count = min(CELLS_AT_ONCE, shape[0] - begin)
+                q = ((k * shape[1] + j) * shape[0] + begin) * width
+                for t in range(terms.shape[0]):
+                    first = layout[0] + (j + terms[t, 3]) * layout[1] + (k + terms[t, 4]) * layout[2]
+                    row = entries[terms[t, 1], first + begin + terms[t, 2] :][:count]
+                    for i in range(count):
+                        row[U(i)] += m[U(q + terms[t, 0] + i * width)]
 
 
 @hot
@@ -79,21 +84,65 @@ def scale_entries(entries, offsets, scale, shape, layout):
 
 
 @hot
-def multiply(entries, offsets, values, shape, layout, out):
-    """out = G values on own nodes, out compact (nodes,), values padded with ghosts filled."""
-    for k in range(shape[2]):
-        for j in range(shape[1]):
-            n, first = layout[0] + j * layout[1] + k * layout[2], (k * shape[1] + j) * shape[0]
-            row = out[first : first + shape[0]]
-            middle, here = entries[0, n : n + shape[0]], values[n : n + shape[0]]
-            for i in range(row.size):
-                row[i] = middle[i] * here[i]
-            for h in range(1, offsets.size):
-                up, down = n + offsets[h], n - offsets[h]
-                next_entry, next_value = entries[h, n : n + shape[0]], values[up : up + shape[0]]
-                last_entry, last_value = entries[h, down : down + shape[0]], values[down : down + shape[0]]
-                for i in range(row.size):
-                    row[i] += next_entry[i] * next_value[i] + last_entry[i] * last_value[i]
+def multiply(entries, offsets, values, start, stop, out):
+    """out[n] = (G values)[n] for start <= n < stop, padded arrays, ghosts of `values` filled; junk on ghosts between.
+
+    G has unit diagonal: entries[0] is not read. A block of nodes stays in the first cache while the other diagonals
+    pass, two at a time; memory traffic is the entries'.
+    """
+    n = start
+    while n < stop:
+        m = min(NODES_AT_ONCE, stop - n)
+        row = out[n : n + m]
+        row[:] = values[n : n + m]
+        h = 1
+        while h + 1 < offsets.size:
+            o, p = offsets[h], offsets[h + 1]
+            _add_two(
+                row,
+                entries[h, n : n + m], values[n + o : n + o + m],
+                entries[h, n - o : n - o + m], values[n - o : n - o + m],
+                entries[h + 1, n : n + m], values[n + p : n + p + m],
+                entries[h + 1, n - p : n - p + m], values[n - p : n - p + m],
+            )  # fmt: skip
+            h += 2
+        if h < offsets.size:
+            o = offsets[h]
+            _add_one(
+                row,
+                entries[h, n : n + m], values[n + o : n + o + m],
+                entries[h, n - o : n - o + m], values[n - o : n - o + m],
+            )  # fmt: skip
+        n += m
+
+
+@hot
+def _add_one(row, a0, v0, a1, v1):
+    for i in range(row.size):
+        row[i] += a0[i] * v0[i] + a1[i] * v1[i]
+
+
+@hot
+def _add_two(row, a0, v0, a1, v1, a2, v2, a3, v3):
+    for i in range(row.size):
+        row[i] += (a0[i] * v0[i] + a1[i] * v1[i]) + (a2[i] * v2[i] + a3[i] * v3[i])
+
+
+@hot
+def extrapolate(earlier, weights, factors, out):
+    """out = Σ_j weights[j] earlier[j] times one factor a node; all compact."""
+    n = 0
+    while n < out.size:
+        m = min(NODES_AT_ONCE, out.size - n)
+        row, factor = out[n : n + m], factors[n : n + m]
+        row[:] = 0.0
+        for j in range(weights.size):
+            values, w = earlier[j, n : n + m], weights[j]
+            for i in range(m):
+                row[i] += w * values[i]
+        for i in range(m):
+            row[i] *= factor[i]
+        n += m
 
 
 @hot
@@ -109,13 +158,14 @@ def convolve(values, weights, shape, layout, plane, line, out):
     begin = layout[0] - sides[0]
     length = shape[0] + 2 * sides[0]
     for k in range(shape[2]):
-        for j in range(-sides[1], shape[1] + sides[1]):
-            n = begin + j * layout[1] + k * layout[2]
-            r = (j + sides[1]) * length
-            _combine(values, weights[2], sides[2], n, layout[2], length, plane[r : r + length])
+        source, stride, start = values, layout[1], begin + k * layout[2]
+        if sides[2]:
+            for j in range(-sides[1], shape[1] + sides[1]):
+                r = (j + sides[1]) * length
+                _combine(values, weights[2], sides[2], start + j * layout[1], layout[2], length, plane[r : r + length])
+            source, stride, start = plane, length, sides[1] * length
         for j in range(shape[1]):
-            r = (j + sides[1]) * length
-            _combine(plane, weights[1], sides[1], r, length, length, line)
+            _combine(source, weights[1], sides[1], start + j * stride, stride, length, line)
             first = (k * shape[1] + j) * shape[0]
             _combine(line, weights[0], sides[0], sides[0], 1, shape[0], out[first : first + shape[0]])
 
