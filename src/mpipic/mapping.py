@@ -9,18 +9,13 @@ advances, cell by cell from pair moments and in one pass over the particles a st
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import reduce
 
 import numpy as np
-from mpi4py import MPI
 
 from mpipic import migration
 from mpipic.grid import FloatArray, Grid, columns_of, raise_together
 from mpipic.kernels import BY_DIMENSION, generic, stencil
 from mpipic.particles import IntArray, Particles, locate
-
-REFRESH = 0.25
-"""Cells that the particles of a run travel before estimates of the spectrum are made again."""
 
 
 class NodalMapping:
@@ -43,7 +38,6 @@ class NodalMapping:
     version: int
     inverse_weights: FloatArray
     phase: Callable[[str], None]
-    _overlap: FloatArray | None
 
     @property
     def moments(self) -> FloatArray:
@@ -85,28 +79,6 @@ class NodalMapping:
         self.phase("nodes")
         dim = self.grid.dim
         stencil.add_moments(self.moments, stencil.moment_terms(dim), self.grid.padded_shape, layout, entries)
-
-    def overlap(self) -> FloatArray:
-        """Mean of ξ (1 - ξ) over all particles, ξ the local coordinate along each axis, (d,).
-
-        1/6 for particles spread evenly within cells, 0 for particles on nodes, 1/4 in the middle between two: the
-        circulant (b, 1 - 2 b, b) is what diag(d)⁻¹ G resembles along an axis. Collective where positions have changed
-        since: one reduction, one pass over the moments.
-        """
-        if self._overlap is None:
-            dim = self.grid.dim
-            totals = self.moments.sum(axis=0)
-            self.grid.comm.Allreduce(MPI.IN_PLACE, totals)
-            pairs = totals.reshape((3,) * dim)[np.newaxis]
-            both, ends = np.array([0.0, 1.0, 0.0]), np.array([1.0, 2.0, 1.0])
-            found = []
-            for axis in range(dim):
-                # moments run x fastest: the last axis of `pairs` is x
-                weights = [both if a == axis else ends for a in reversed(range(dim))]
-                found.append(float(np.sum(pairs * reduce(np.multiply.outer, weights))))
-            count = float(np.sum(pairs * reduce(np.multiply.outer, [ends] * dim)))
-            self._overlap = np.array(found) / (count or 1.0)
-        return self._overlap
 
     def complete(self, sums: FloatArray) -> FloatArray:
         """Nodal sums made right on own and ghost nodes: one halo sum, one fill. Collective on neighbours."""
@@ -183,7 +155,6 @@ class Mapping(NodalMapping):
         raise_together(self.grid.comm, problem)
         self.version += 1
         self._moments: FloatArray | None = None
-        self._overlap = None
         self.weights = self.sums(np.ones(len(self._cell)))
         self.inverse_weights = np.empty_like(self.weights)
         generic.invert(self.weights, self.inverse_weights)
@@ -303,8 +274,7 @@ class Sweep(NodalMapping):
         self.weights = self.sums[:, -1]
         self.inverse_weights = np.empty(grid.local_nodes)
         self._moments = np.empty((grid.local_cells, 3**grid.dim))
-        self._overlap, self._travel, self.version = None, 0.0, 0
-        self._pace = max(map(abs, shift))
+        self.version = 0
         self._leaving = np.empty(max(1024, particles.count // 16), dtype=np.int64)
         self.peak = 0.0
         self.migrated = 0
@@ -383,16 +353,9 @@ class Sweep(NodalMapping):
             self._deposit(particles.count - arrived, particles.count, weigh)
         self._finish_sums(weigh)
         if weigh:
-            self._count_travel()
+            self.version += 1
             self._sort_when_due(breaks)
         self.phase("other")
-
-    def _count_travel(self) -> None:
-        """Positions have changed; what only depends on them roughly is looked at again every quarter of a cell."""
-        self.version += 1
-        self._travel += self._pace
-        if self._travel >= REFRESH:
-            self._overlap, self._travel = None, 0.0
 
     def _leavers(self, left: int) -> IntArray:
         if left <= len(self._leaving):
