@@ -1,6 +1,6 @@
 """The command line: `mpipic VERB`, the same under mpiexec. Rank 0 speaks; all ranks leave with the same code.
 
-Exit codes: 0 done, 2 bad input, 3 unstable, 130 interrupted, 1 anything unexpected.
+Exit codes: 0 done, 2 bad input, 3 unstable, 4 a solver did not converge, 130 interrupted, 1 anything unexpected.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Overrides = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a key, for example filter.kind=none.")
 ]
 
-BAD_INPUT = 2
+BAD_INPUT, NOT_CONVERGED = 2, 4
 
 
 def _load(path: Path | None, overrides: list[str] | None, comm: Any) -> Scene:
@@ -66,13 +66,13 @@ def _check_particle_file(scene: Scene, comm: Any) -> None:
         raise SceneError([Problem("particles.path", None, text) for text in problems])
 
 
-def _refuse(text: str, comm: Any) -> typer.Exit:
+def _refuse(text: str, comm: Any, code: int = BAD_INPUT) -> typer.Exit:
     from mpipic.console import Console
 
     console = Console(comm)
     for line in text.splitlines():
         console.fail(line)
-    return typer.Exit(BAD_INPUT)
+    return typer.Exit(code)
 
 
 @app.command()
@@ -94,12 +94,15 @@ def run(
         loaded = _load(scene, set_, comm)
         from mpipic import runner
         from mpipic.console import Console
+        from mpipic.errors import NotConverged
         from mpipic.output import OutputError
 
         try:
             code = runner.run(loaded, comm, output, overwrite, Console(comm, quiet), plots)
         except OutputError as error:
             raise _refuse(str(error), comm) from None
+        except NotConverged as error:
+            raise _refuse(str(error), comm, NOT_CONVERGED) from None
     except SceneError as error:
         raise _refuse(str(error), comm) from None
     raise typer.Exit(code)
@@ -115,10 +118,11 @@ def check(scene: SceneFile = None, set_: Overrides = None) -> None:
         loaded = _load(scene, set_, comm)
         from mpipic import advice
         from mpipic.console import Console
-        from mpipic.simulation import solution_of
+        from mpipic.simulation import check_filter, solution_of
 
         solution_of(loaded)
         _check_particle_file(loaded, comm)
+        check_filter(loaded, loaded.particle_count or 0, comm)
         Console(comm).banner(advice.describe(loaded, comm))
     except SceneError as error:
         raise _refuse(str(error), comm) from None

@@ -21,6 +21,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from mpipic.errors import NotConverged
 from mpipic.grid import FloatArray, Grid
 from mpipic.halo import Halo
 from mpipic.kernels import stencil
@@ -31,10 +32,6 @@ EARLIER = 2
 """Solutions of a series that the first guess of the next is extrapolated from."""
 ENTRIES_NOT_NEEDED = ("none", "jacobi", "python")
 """Preconditioners of PETSc that work without matrix entries."""
-
-
-class NotConverged(ArithmeticError):
-    """A solver missed its tolerance; the message names what it reached, and after how many iterations."""
 
 
 class GramMatrix(Protocol):

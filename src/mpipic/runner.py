@@ -13,6 +13,7 @@ from mpi4py import MPI
 from mpipic import advice
 from mpipic.console import Console, Progress
 from mpipic.diagnostics import ErrorReport
+from mpipic.errors import NotConverged
 from mpipic.output import ERROR_PLOT, PARTICLES, SOLUTION_PLOT, ParticleSeries, RunDirectory
 from mpipic.phases import Phases
 from mpipic.runtime import StopRequest
@@ -82,7 +83,12 @@ def run(scene: Scene, comm: MPI.Comm, output: Path | None, overwrite: bool, cons
     stop = StopRequest()
     with console.progress(scene.time.steps) as progress:
         recorder = Recorder(simulation, directory, progress)
-        outcome = simulation.run(recorder, stop)
+        try:
+            outcome = simulation.run(recorder, stop)
+        except NotConverged:
+            recorder.close()
+            directory.write_history(recorder.rows)
+            raise
     phases("output")
     recorder.close()
     seconds = {"total": perf_counter() - began, "setup": phases.total("setup", "compile")}

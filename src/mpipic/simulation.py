@@ -78,6 +78,59 @@ def solution_of(scene: Scene) -> Exact | None:
         raise SceneError([Problem("initial", initial.profile, str(error))]) from None
 
 
+def check_filter(scene: Scene, particles: int, comm: MPI.Comm) -> None:
+    """Raise SceneError on all ranks for a filter that this machine has no memory for. Collective."""
+    if scene.filter.kind != "svd":
+        return
+    from mpipic.singular import TooLarge, check_memory
+
+    try:
+        check_memory(scene.cell_count, particles, comm)
+    except TooLarge as error:
+        raise SceneError([Problem("filter.kind", "svd", str(error))]) from None
+
+
+def populate(scene: Scene, grid: Grid, solution: Exact | None) -> Particles:
+    """The scene's particles at t = 0 on the ranks that own their cells.
+
+    Every rank makes a block of consecutive ids; then each particle goes to its owner. Collective.
+    """
+    particles = Particles(grid.h, {"density": 0, "velocity": grid.dim})
+    if scene.particles.layout == "file":
+        ids, coordinate, state = _read_particles(scene, grid)
+    else:
+        ids = share(scene.particle_count or 0, grid)
+        layout = LAYOUTS[scene.particles.layout]
+        drawn = layout(grid, scene.particles.per_cell, scene.particles.jitter, scene.particles.seed, ids)
+        coordinate = grid.wrapped(drawn)
+        state = np.zeros((len(ids), 1 + grid.dim))
+    if grid.size > 1:
+        rows = np.concatenate([coordinate, state, ids.view(np.float64)[:, None]], axis=1)
+        rows = Routes(grid).exchange(rows, grid.owner_of(coordinate)).rows
+        coordinate, state = rows[:, : grid.dim], rows[:, grid.dim : -1]
+        ids = np.ascontiguousarray(rows[:, -1]).view(np.int64)
+    particles.append(coordinate, state, ids)
+    if solution is not None:
+        density, velocity = solution(particles.position, 0.0)
+        particles.field("density")[:] = density
+        particles.state[:, 1:] = velocity
+    return particles
+
+
+def _read_particles(scene: Scene, grid: Grid) -> tuple[IntArray, FloatArray, FloatArray]:
+    from mpipic.particle_file import ParticleFileError, read_particle_file
+
+    try:
+        data = read_particle_file(scene.particles.path, grid.dim, grid.length, grid.comm)
+    except ParticleFileError as error:
+        raise SceneError([Problem("particles.path", None, text) for text in error.problems]) from None
+    state = np.zeros((len(data["ids"]), 1 + grid.dim))
+    if scene.initial.profile == "file":
+        state[:, 0] = data.get("density", 0.0)
+        state[:, 1:] = data.get("velocity", 0.0)
+    return data["ids"], grid.coordinate_of(data["position"]), state
+
+
 class Simulation:
     """The parts that a scene names, put together on the ranks of `comm`, and the loop over its steps.
 
@@ -108,7 +161,7 @@ class Simulation:
         scene.check_ranks(comm.size)
         self.exact = solution_of(scene)
         self.grid = Grid(scene.grid.cells, scene.grid.length, comm)
-        self.particles = self._create_particles()
+        self.particles = populate(scene, self.grid, self.exact)
         self.total = comm.allreduce(self.particles.count)
         flow = [v * scene.dt for v in scene.gas.flow]
         self.sweep = Sweep(self.grid, self.particles, flow, self.phases)
@@ -140,45 +193,8 @@ class Simulation:
     def _formulate(self) -> Euler:
         gas = self.scene.gas
         rates = Rates(self.scene.dt * gas.density, self.scene.dt * gas.sound_speed**2 / gas.density)
+        check_filter(self.scene, self.total, self.comm)
         return symplectic(self.sweep, rates, self.scene.filter)
-
-    def _create_particles(self) -> Particles:
-        """Every rank makes a block of consecutive ids; then each particle goes to the owner of its cell."""
-        scene, grid = self.scene, self.grid
-        particles = Particles(grid.h, {"density": 0, "velocity": grid.dim})
-        if scene.particles.layout == "file":
-            ids, coordinate, state = self._read_particles()
-        else:
-            ids = share(scene.particle_count or 0, grid)
-            layout = LAYOUTS[scene.particles.layout]
-            drawn = layout(grid, scene.particles.per_cell, scene.particles.jitter, scene.particles.seed, ids)
-            coordinate = grid.wrapped(drawn)
-            state = np.zeros((len(ids), 1 + grid.dim))
-        if grid.size > 1:
-            rows = np.concatenate([coordinate, state, ids.view(np.float64)[:, None]], axis=1)
-            rows = Routes(grid).exchange(rows, grid.owner_of(coordinate)).rows
-            coordinate, state = rows[:, : grid.dim], rows[:, grid.dim : -1]
-            ids = np.ascontiguousarray(rows[:, -1]).view(np.int64)
-        particles.append(coordinate, state, ids)
-        if self.exact is not None:
-            density, velocity = self.exact(particles.position, 0.0)
-            particles.field("density")[:] = density
-            particles.state[:, 1:] = velocity
-        return particles
-
-    def _read_particles(self) -> tuple[IntArray, FloatArray, FloatArray]:
-        from mpipic.particle_file import ParticleFileError, read_particle_file
-
-        scene, grid = self.scene, self.grid
-        try:
-            data = read_particle_file(scene.particles.path, grid.dim, grid.length, self.comm)
-        except ParticleFileError as error:
-            raise SceneError([Problem("particles.path", None, text) for text in error.problems]) from None
-        state = np.zeros((len(data["ids"]), 1 + grid.dim))
-        if scene.initial.profile == "file":
-            state[:, 0] = data.get("density", 0.0)
-            state[:, 1:] = data.get("velocity", 0.0)
-        return data["ids"], grid.coordinate_of(data["position"]), state
 
     def _initial_size(self) -> float:
         """Largest |density|; where density starts at zero, the density that the velocity will turn into."""

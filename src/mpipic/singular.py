@@ -18,6 +18,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from mpipic.errors import NotConverged
 from mpipic.grid import FloatArray
 from mpipic.kernels import generic
 
@@ -50,7 +51,7 @@ class RowSpace:
     Raises
     ------
     TooLarge
-    mpipic.gram.NotConverged
+    NotConverged
         Not all triplets came out.
 
     Notes
@@ -105,8 +106,6 @@ class RowSpace:
 def _all_triplets(matrix: PETSc.Mat, triplets: int, own: int) -> tuple[str, FloatArray, FloatArray]:
     """Solver used, singular values, and own rows of the right singular vectors, (triplets, own). Collective."""
     from slepc4py import SLEPc
-
-    from mpipic.gram import NotConverged
 
     for kind in (SLEPc.SVD.Type.TRLANCZOS, SLEPc.SVD.Type.LAPACK):
         solver = SLEPc.SVD().create(matrix.comm)
