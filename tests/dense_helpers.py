@@ -3,7 +3,11 @@
 Nothing here uses the package. Particles p, nodes i of a periodic grid of spacing h_a, linear basis:
 
     φ_i(x) = Π_a Σ_k max(0, 1 - |x_a/h_a - i_a - k N_a|),    Φ_pi = φ_i(x_p),    D^a_pi = ∂φ_i/∂x_a (x_p),
-    d = Φᵀ1,    S = diag(d)⁻¹ Φᵀ (rows of nodes that no particle sees are zero),    G = ΦᵀΦ.
+    d = Φᵀ1,    S = diag(d)⁻¹ Φᵀ (rows of nodes that no particle sees are zero),    G = ΦᵀΦ,
+
+or, with V = diag(V_p) what the particles count, d = ΦᵀV1, S = diag(d)⁻¹ ΦᵀV and G = ΦᵀVΦ. The projection on what the
+nodes see, orthogonal in the inner product Σ_p V_p q_p r_p, is P = Φ G⁺ ΦᵀV = V^-½ U Uᵀ V^½, the columns of U being the
+left singular vectors of V^½ Φ that have singular values above zero.
 
 A particle on a node, or less than 1e-10 cells to its left, takes its slopes from the cell to the right of the node.
 Nodes are numbered as an array of shape `cells` in C order: the last axis runs fastest.
@@ -11,7 +15,7 @@ Nodes are numbered as an array of shape `cells` in C order: the last axis runs f
 
 from __future__ import annotations
 
-from functools import reduce
+from functools import cached_property, reduce
 
 import numpy as np
 
@@ -37,20 +41,22 @@ def tensor(factors):
 
 
 class Dense:
-    """Φ, D^a, d, S and G at positions (n, d) in the box."""
+    """Φ, D^a, d, S and G at positions (n, d) in the box, of particles that count 1 each or have weights (n,)."""
 
-    def __init__(self, cells, length, position):
+    def __init__(self, cells, length, position, weight=None):
         position = np.asarray(position, dtype=float).reshape(-1, len(cells))
         axes = [hat_matrices(n, box / n, x) for n, box, x in zip(cells, length, position.T)]
         self.phi = tensor([values for values, _ in axes])
         self.D = [
             tensor([slopes if b == a else values for b, (values, slopes) in enumerate(axes)]) for a in range(len(cells))
         ]
-        self.d = self.phi.sum(axis=0)
+        self.weight = np.ones(len(position)) if weight is None else np.asarray(weight, dtype=float)
+        transposed = self.phi.T * self.weight
+        self.d = transposed.sum(axis=1)
         self.seen = self.d > 0
-        self.S = np.zeros(self.phi.T.shape)
-        self.S[self.seen] = self.phi.T[self.seen] / self.d[self.seen, None]
-        self.G = self.phi.T @ self.phi
+        self.S = np.zeros(transposed.shape)
+        self.S[self.seen] = transposed[self.seen] / self.d[self.seen, None]
+        self.G = transposed @ self.phi
 
     def gradient(self, nodal):
         """D nodal: (m,) to (n, d)."""
@@ -70,6 +76,8 @@ class Dense:
             return self.order(2)
         if kind == "chebyshev":
             return self.chebyshev(2)
+        if kind in ("exact", "svd"):
+            return self.projection()
         raise AssertionError(f"write out the filter {kind} here")
 
     def order(self, k):
@@ -96,17 +104,23 @@ class Dense:
         gain = np.zeros(len(values))
         gain[kept] = (1.0 - (1.0 - values[kept]) * scaled(values[kept])) / values[kept]
         nodal = (vectors * gain) @ vectors.T
-        return self.phi @ (root[:, None] * nodal * root) @ self.phi.T
+        return self.phi @ (root[:, None] * nodal * root) @ (self.phi.T * self.weight)
+
+    @cached_property
+    def range(self):
+        """Orthonormal basis of the range of V^½ Φ, (n, rank), by its singular values."""
+        u, s, _ = np.linalg.svd(np.sqrt(self.weight)[:, None] * self.phi, full_matrices=False)
+        return u[:, s > 1e-10 * s[0]]
 
     def projection(self):
-        """P = Φ G⁺ Φᵀ, the orthogonal projection on what the nodes see, by singular values of Φ."""
-        u, s, _ = np.linalg.svd(self.phi, full_matrices=False)
-        u = u[:, s > 1e-10 * s[0]]
-        return u @ u.T
+        """P = Φ G⁺ ΦᵀV, the orthogonal projection on what the nodes see, by singular values of V^½ Φ."""
+        root = np.sqrt(self.weight)
+        return self.range @ self.range.T * root / root[:, None]
 
     def null_space_share(self, q):
-        """‖(I - P) q‖ / ‖q‖."""
-        return np.linalg.norm(q - self.projection() @ q) / np.linalg.norm(q)
+        """‖(I - P) q‖ / ‖q‖, in the norm of the particles' inner product."""
+        seen = q * np.sqrt(self.weight)
+        return np.linalg.norm(seen - self.range @ (self.range.T @ seen)) / np.linalg.norm(seen)
 
     def euler_step(self, density, velocity, rates, kind):
         """Formulation 2 at these positions: new density (n,) and velocity (n, d). rates = (dt ρ₀, dt c²/ρ₀)."""

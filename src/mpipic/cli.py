@@ -128,6 +128,67 @@ def check(scene: SceneFile = None, set_: Overrides = None) -> None:
         raise _refuse(str(error), comm) from None
 
 
+FilterNames = Annotated[
+    list[str] | None,
+    typer.Option("--filters", help="Which, for example local,order:5,exact; repeatable. Default: all that are quick."),
+]
+
+
+@app.command()
+def spectrum(
+    scene: SceneFile = None,
+    set_: Overrides = None,
+    names: FilterNames = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Folder for spectrum.csv and .png; default runs/...")
+    ] = None,
+    plots: Annotated[bool, typer.Option(help="Draw spectrum.png.")] = True,
+    phase: Annotated[float, typer.Option(help="Phase of the waves on the node at the origin, in radians.")] = 0.3,
+) -> None:
+    """Say what one application of each filter keeps of every wave, on a scene's particles."""
+    comm = start()
+    from mpipic.scene import SceneError
+
+    try:
+        loaded = _load(scene, set_, comm)
+        from mpipic import spectrum as verb
+        from mpipic.console import Console
+        from mpipic.filter_choice import choose
+        from mpipic.output import OutputError, RunDirectory
+
+        try:
+            choices = choose(names or (), loaded, loaded.particle_count or 0)
+            folder = output or RunDirectory.default(f"{loaded.name}-spectrum", comm)
+            verb.run(loaded, choices, comm, Console(comm), folder, plots, phase)
+        except OutputError as error:
+            raise _refuse(str(error), comm) from None
+    except SceneError as error:
+        raise _refuse(str(error), comm) from None
+
+
+@app.command()
+def filters(
+    scene: SceneFile = None,
+    set_: Overrides = None,
+    names: FilterNames = None,
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="Write the table as JSON too.")] = None,
+) -> None:
+    """Compare the filters on a scene's particles: cost, and distance from the exact projection."""
+    comm = start()
+    from mpipic.scene import SceneError
+
+    try:
+        loaded = _load(scene, set_, comm)
+        from mpipic import comparison
+        from mpipic.console import Console
+        from mpipic.filter_choice import choose
+
+        choices = choose(names or (), loaded, loaded.particle_count or 0)
+        comparison.run(loaded, choices, comm, Console(comm), output)
+    except SceneError as error:
+        raise _refuse(str(error), comm) from None
+
+
 @app.command()
 def bench(
     dim: Annotated[list[int] | None, typer.Option(help="Dimension to time; repeatable. Default: 1 2 3.")] = None,

@@ -13,9 +13,11 @@ particles are all far from it has a smaller diagonal than its row sum says.
 
 from __future__ import annotations
 
+import atexit
 from collections.abc import Hashable
 from math import comb
 from typing import Any, Protocol
+from weakref import WeakSet
 
 import numpy as np
 from mpi4py import MPI
@@ -32,6 +34,16 @@ EARLIER = 2
 """Solutions of a series that the first guess of the next is extrapolated from."""
 ENTRIES_NOT_NEEDED = ("none", "jacobi", "python")
 """Preconditioners of PETSc that work without matrix entries."""
+
+
+_living: WeakSet[GramSolver] = WeakSet()
+
+
+@atexit.register
+def _end() -> None:
+    """PETSc finalises after Python has gone, and must not find objects that call back into it."""
+    for solver in list(_living):
+        solver.close()
 
 
 class GramMatrix(Protocol):
@@ -123,7 +135,7 @@ class GramStencil:
         """Mean over nodes that particles see of the entries to the next node along each axis. Collective."""
         along = [h for h, offset in enumerate(self.neighbours.tolist()) if sorted(offset) == [0, 0, 1]]
         sums = np.array([self.halo.own(self.entries[h]).sum() for h in (0, *along)])
-        self.grid.comm.Allreduce(MPI.IN_PLACE, sums)
+        self.grid.reduce(sums)
         return np.asarray(sums[1:] / max(sums[0], 1.0))
 
     def assemble(self, matrix: PETSc.Mat) -> None:
@@ -262,6 +274,12 @@ class GramSolver:
         self._assembled: PETSc.Mat | None = None
         self._ksp = self._configure(comm, prefix)
         self._x, self._b = self._shell.createVecs()
+        _living.add(self)
+
+    def close(self) -> None:
+        """Give PETSc's objects back; no `solve` after this. Collective."""
+        for item in (self._ksp, self._shell, self._x, self._b):
+            item.destroy()
 
     def _configure(self, comm: MPI.Comm, prefix: str) -> PETSc.KSP:
         ksp = PETSc.KSP().create(comm)
@@ -346,7 +364,8 @@ class GramSolver:
         """
         largest = max(float(own.max(initial=0.0)), -float(own.min(initial=0.0)))
         # what MAX makes of a NaN differs between MPIs: infinity stands in for it
-        largest = self.matrix.grid.comm.allreduce(largest if np.isfinite(largest) else np.inf, op=MPI.MAX)
+        facts = np.array([largest if np.isfinite(largest) else np.inf])
+        largest = float(self.matrix.grid.reduce(facts, MPI.MAX)[0])
         return largest if largest == np.inf else float(2.0 ** (np.frexp(largest)[1] - 1)) if largest else 1.0
 
     def _check(self) -> None:

@@ -71,6 +71,8 @@ class Grid:
         Flat index of the node that opens the first own cell; flat strides along y and z.
     quantum, tolerance : floats, cells
         Coordinates are multiples of the one; within the other of a node a particle counts as on it.
+    reductions : int
+        How often `reduce` has been called.
     starts : arrays, one per axis
         First cell of each block along the axis.
 
@@ -112,6 +114,7 @@ class Grid:
         self.owned_start, self.owned_shape = self.nodes.owned_start, self.nodes.owned_shape
         self.local_nodes, self.layout = self.nodes.local_nodes, self.nodes.layout
         self.local_cells = int(np.prod(self.owned_shape))
+        self.reductions = 0
         self.node_count = int(np.prod(self.cells))
         self.padded_shape = self.owned_shape + (1,) * (3 - self.dim)
 
@@ -144,6 +147,12 @@ class Grid:
     def fill_halo(self, nodal: FloatArray) -> None:
         """Copy the owners' values to their ghosts, in place. Collective; one message to each neighbouring rank."""
         self.nodes.fill(nodal)
+
+    def reduce(self, numbers: FloatArray, op: MPI.Op = MPI.SUM) -> FloatArray:
+        """Combine numbers of all ranks, in place, and count it. Collective."""
+        self.reductions += 1
+        self.comm.Allreduce(MPI.IN_PLACE, numbers, op=op)
+        return numbers
 
     def cell_of(self, coordinate: FloatArray) -> npt.NDArray[np.int64]:
         """Global cell (n, d) of coordinates (n, d), by the arithmetic of the compiled loops. Local."""

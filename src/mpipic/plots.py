@@ -110,6 +110,42 @@ def draw_error(path: Path | str, rows: Sequence[Mapping[str, Any]], scene: Any =
         axes.set_title(_title(scene, f"{ending} at step {last['step']}, t = {_short(last['time'])}"))
 
 
+def draw_spectrum(path: Path | str, points: Sequence[Any], scene: Any = None) -> None:
+    """Draw what each filter keeps of waves against their length in nodes, one panel a direction.
+
+    Parameters
+    ----------
+    path : PNG file, replaced whole
+    points : have `direction`, `lambda_over_h`, `filter`, `kept`
+    scene : named in the title; may be None
+    """
+    names = list(dict.fromkeys(point.direction for point in points))
+    labels = list(dict.fromkeys(point.filter for point in points))
+    with _figure(path, (3.6 + 3.2 * len(names), 4.4)) as figure:
+        panels = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
+        for axes, name in zip(panels, names, strict=True):
+            for number, label in enumerate(labels):
+                mine = sorted((p.lambda_over_h, p.kept) for p in points if p.direction == name and p.filter == label)
+                axes.plot(*zip(*mine, strict=True), label=label, **_line(number))
+            axes.set_xscale("log", base=2)
+            axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+            axes.set_xlabel("wave length in nodes, λ/h" + (" along every axis" if name == "diagonal" else ""))
+            axes.set_title(f"along {name}" if len(names) > 1 else "")
+        panels[0].set_ylabel("share kept of cos(k·x)")
+        panels[-1].legend(loc="lower right")
+        figure.suptitle(f"{scene.name}: what one application keeps" if scene else "", fontsize=10)
+
+
+def _line(number: int) -> dict[str, Any]:
+    """Colour, dashes and marker of the curve with this number: neighbours differ in all three."""
+    colours = (BLUE, ORANGE, "#009E73", PINK, "#E69F00", BLACK, "#56B4E9")
+    dashes, markers = ("-", "--", "-.", ":"), "osv^Dx+"
+    return {
+        "color": colours[number % len(colours)], "ls": dashes[number % len(dashes)],
+        "marker": markers[number % len(markers)], "ms": 3.5, "lw": 1.3,
+    }  # fmt: skip
+
+
 def draw_solution(
     path: Path | str, scene: Any, time: float, step: int, sample: Mapping[str, ArrayLike], exact: Exact | None = None
 ) -> None:

@@ -78,9 +78,9 @@ def solution_of(scene: Scene) -> Exact | None:
         raise SceneError([Problem("initial", initial.profile, str(error))]) from None
 
 
-def check_filter(scene: Scene, particles: int, comm: MPI.Comm) -> None:
-    """Raise SceneError on all ranks for a filter that this machine has no memory for. Collective."""
-    if scene.filter.kind != "svd":
+def check_filter(scene: Scene, particles: int, comm: MPI.Comm, kind: str | None = None) -> None:
+    """Raise SceneError on all ranks for a filter, the scene's or `kind`, that there is no memory for. Collective."""
+    if (kind or scene.filter.kind) != "svd":
         return
     from mpipic.singular import TooLarge, check_memory
 

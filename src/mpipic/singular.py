@@ -60,10 +60,10 @@ class RowSpace:
     """
 
     def __init__(self, mapping: Mapping) -> None:
-        self.comm = mapping.grid.comm
+        self.grid = mapping.grid
         self.each = np.ones(mapping.count) if mapping.weight is None else np.sqrt(mapping.weight)
-        nodes, particles = mapping.grid.node_count, self.comm.allreduce(mapping.count)
-        check_memory(nodes, particles, self.comm)
+        nodes, particles = self.grid.node_count, self.grid.comm.allreduce(mapping.count)
+        check_memory(nodes, particles, self.grid.comm)
         self._decompose(mapping, min(nodes, particles), max(nodes, particles))
 
     def _decompose(self, mapping: Mapping, triplets: int, longest: int) -> None:
@@ -99,7 +99,7 @@ class RowSpace:
         """V^-½ V_r V_rᵀ V^½ q, (n,) or (n, k). Collective; one reduction of r k numbers."""
         each = self.each.reshape((-1,) + (1,) * (q.ndim - 1))
         amounts = np.ascontiguousarray(self.basis.T @ (each * q))
-        self.comm.Allreduce(MPI.IN_PLACE, amounts)
+        self.grid.reduce(amounts)
         return np.asarray((self.basis @ amounts) / each)
 
 
