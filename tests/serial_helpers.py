@@ -8,6 +8,7 @@ import numpy as np
 from mpi4py import MPI
 
 from dense_helpers import GRIDS, Dense, pattern
+from mpipic.filters import FILTERS
 from mpipic.grid import Grid
 from mpipic.mapping import Sweep
 from mpipic.particles import Particles
@@ -91,6 +92,25 @@ def case(box, name):
     cells, length = GRIDS[box]
     position = pattern(name, cells, length)
     return grid_of(cells, length), position, Dense(cells, length, position)
+
+
+SETTINGS = {"exact": {"tolerance": 1e-13}}
+"""Kind to settings other than the defaults: a solver's residual is to leave little of the errors allowed below."""
+ITERATIVE = {"exact": 1e-11}
+"""Kind to the relative error allowed where the answer is a solver's: a hundred times the residual it stops at.
+
+All other kinds are direct, and are held to rounding alone, as each test says.
+"""
+
+
+def make(kind, mapping):
+    """The filter of that kind, as accurate as it gets."""
+    return FILTERS[kind](mapping, **SETTINGS.get(kind, {}))
+
+
+def allowed(kind, rounding):
+    """Relative error allowed to a kind where direct ones have `rounding`."""
+    return max(rounding, ITERATIVE.get(kind, 0.0))
 
 
 def values(n, *shape, seed=5):

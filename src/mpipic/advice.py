@@ -20,7 +20,11 @@ def node_bytes(scene: Scene) -> int:
     dim = scene.dim
     filtered = scene.filter.kind != "none"
     work = (1 + dim) + 1 + (dim if filtered else 0)
-    return 8 * ((dim + 2) + 1 + 3**dim + work)
+    solver = 0
+    if scene.filter.kind == "exact":
+        # the stencil's entries, its vectors and PETSc's, and two earlier answers to each of 1 + d solves
+        solver = (3**dim + 1) // 2 + 10 + 2 * (1 + dim)
+    return 8 * ((dim + 2) + 1 + 3**dim + work + solver)
 
 
 def rank_bytes(scene: Scene, ranks: int, particles: int) -> float:
@@ -32,7 +36,8 @@ def parts(scene: Scene) -> tuple[list[tuple[str, str]], list[str]]:
     """What the scene builds, (part, description), and what it leaves out."""
     moving = any(scene.gas.flow)
     filtered = scene.filter.kind != "none"
-    step = "Formulation 2 (symplectic Euler), one pass over the particles a step"
+    passes = "nine passes" if scene.filter.kind == "svd" else "one pass"
+    step = f"Formulation 2 (symplectic Euler), {passes} over the particles a step"
     built = [
         ("grid", f"{scene.dim}D, {' x '.join(map(str, scene.grid.cells))} cells, periodic"),
         ("particles", _particles(scene)),
@@ -42,7 +47,10 @@ def parts(scene: Scene) -> tuple[list[tuple[str, str]], list[str]]:
         ("step", step),
         ("initial", _initial(scene)),
     ]  # fmt: skip
-    left_out = ["SLEPc", "linear solvers", "assembled matrices"]
+    left_out = [] if scene.filter.kind == "svd" else ["SLEPc"]
+    solves = scene.filter.kind == "exact" or (scene.output.report_at and scene.initial.profile != "file")
+    left_out += [] if solves else ["linear solvers"]
+    left_out += [] if scene.filter.kind == "svd" else ["assembled matrices"]
     left_out += [] if filtered else ["filter"]
     left_out += [] if moving else ["migration"]
     left_out += [] if scene.output.every else ["snapshots"]
@@ -75,6 +83,10 @@ def _filter(scene: Scene) -> str:
     kind = scene.filter.kind
     if kind == "none":
         return "none"
+    if kind == "exact":
+        return f"exact: conjugate gradients on the nodes to {scene.filter.tolerance:g}, neighbours and dot products"
+    if kind == "svd":
+        return "svd: all singular triplets of the mapping matrix by SLEPc, whenever particles have moved"
     exchanges = 1 if kind == "local" else scene.filter.order
     order = "" if kind == "local" else f" {scene.filter.order}"
     return f"{kind}{order}: neighbours only, {exchanges} halo exchange{'s' if exchanges > 1 else ''} an application"

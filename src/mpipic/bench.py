@@ -43,7 +43,7 @@ class Plan:
     layout: str
     steps: int
     repeats: int
-    tolerance: float = 1e-10
+    tolerance: float
 
 
 @dataclass(frozen=True)

@@ -198,6 +198,7 @@ def bench(
     layout: Annotated[str, typer.Option(help="lattice, jittered or random.")] = "jittered",
     steps: Annotated[int, typer.Option(help="Steps per sample.")] = 5,
     repeats: Annotated[int, typer.Option(help="Samples; the median counts.")] = 5,
+    tolerance: Annotated[float, typer.Option(help="Relative residual of the exact filter.")] = 1e-8,
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Write the numbers as JSON too.")] = None,
 ) -> None:
     """Time steps against the memory bandwidth of this machine, measured in the same run."""
@@ -208,7 +209,14 @@ def bench(
 
     try:
         plan = benchmark.Plan(
-            tuple(dim or (1, 2, 3)), int(particles), per_cell, tuple(kind or ("local",)), layout, steps, repeats
+            tuple(dim or (1, 2, 3)),
+            int(particles),
+            per_cell,
+            tuple(kind or ("local",)),
+            layout,
+            steps,
+            repeats,
+            tolerance,
         )
         benchmark.run(plan, comm, Console(comm), output)
     except SceneError as error:

@@ -1,4 +1,4 @@
-"""Numbers about a state: error norms against an exact solution. Collective; every rank gets the answer."""
+"""Numbers about a state: errors against an exact solution, noise that no node sees. Collective; all ranks know them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from mpipic.grid import FloatArray
+from mpipic.errors import NotConverged
+from mpipic.grid import FloatArray, Grid
 from mpipic.particles import Particles
 
 Exact = Callable[[FloatArray, float], tuple[FloatArray, FloatArray]]
@@ -26,7 +27,7 @@ class Norms:
 
 @dataclass(frozen=True)
 class ErrorReport:
-    """Errors of density and velocity at one step; the null-space share is None where no exact projection is at hand."""
+    """Errors of density and velocity at one step; the null-space share is None where it was not asked for."""
 
     step: int
     time: float
@@ -75,3 +76,30 @@ def measure(particles: Particles, exact: Exact, step: int, time: float, total: i
         norms(particles.field("density") - density, total, comm),
         norms(particles.field("velocity") - velocity, total, comm),
     )
+
+
+SHARE_TOLERANCE = 1e-10
+
+
+def null_space_fraction(grid: Grid, particles: Particles) -> float | None:
+    """‖(1 - P) q‖ / ‖q‖ of q = D S ρ_p, the unfiltered particle gradient of the density: the share that no node sees.
+
+    0 for a gradient that vanishes; None where the projection P did not converge or the gradient is not finite.
+    Collective; costs about a step with the exact filter, and its memory.
+    """
+    from mpipic.filters import ExactFilter
+    from mpipic.mapping import Mapping
+
+    mapping = Mapping.at(grid, particles)
+    density = np.ascontiguousarray(particles.field("density"))
+    q = mapping.gradient(mapping.p2g(density))
+    largest = grid.reduce(np.array([np.where(np.isfinite(q), np.abs(q), np.inf).max(initial=0.0)]), MPI.MAX)[0]
+    if largest == 0.0 or not np.isfinite(largest):
+        return 0.0 if largest == 0.0 else None
+    q /= largest
+    try:
+        hidden = q - ExactFilter(mapping, SHARE_TOLERANCE).apply(q)
+    except NotConverged:
+        return None
+    sums = grid.reduce(np.array([np.sum(hidden**2), np.sum(q**2)]))
+    return float(np.sqrt(sums[0] / sums[1]))

@@ -128,7 +128,11 @@ class TimeSection(Section):
 
 
 class OutputSection(Section):
-    """Steps between snapshots and between checkpoints, 0 for none; steps `report_at` which errors are recorded."""
+    """Steps between snapshots and between checkpoints, 0 for none; steps `report_at` to report on.
+
+    At those steps errors are recorded, and the share of the density gradient that no node sees, which costs about as
+    much as a step with the exact filter; at the last step errors always are.
+    """
 
     every: CountOrZero = Field(default=0, description=_FROM_0)
     checkpoint_every: CountOrZero = Field(default=0, description=_FROM_0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Protocol
 
@@ -12,7 +12,7 @@ import numpy as np
 from mpi4py import MPI
 
 from mpipic import exact
-from mpipic.diagnostics import ErrorReport, Exact, measure
+from mpipic.diagnostics import ErrorReport, Exact, measure, null_space_fraction
 from mpipic.formulation import Euler, Rates, symplectic
 from mpipic.grid import FloatArray, Grid
 from mpipic.mapping import Sweep
@@ -272,6 +272,8 @@ class Simulation:
         if report and self.exact is not None:
             self.phases("report")
             measured = measure(self.particles, self.exact, self.step, self.time, self.total, self.comm)
+            if self.step in self.scene.output.report_at:
+                measured = replace(measured, null_space_fraction=null_space_fraction(self.grid, self.particles))
         observer.record(self.step, self.time, peak, measured)
         if snapshot:
             self.phases("output")
