@@ -4,17 +4,18 @@ G is scaled to unit diagonal: with r = sqrt(diag G) the unknown is y = r a in (r
 particle sees it reads y = 0, and they get a = 0.
 
 The preconditioner is made of one short symmetric stencil per axis. On a lattice the scaled G is the tensor product of
-one-dimensional matrices tridiag(s, 1, s); on other patterns it resembles that, with s the mean over nodes of the
-entries along the axis. The inverse of each factor is approximated by the polynomial of degree 2 in it that is closest
-on its spectrum [1 - 2 s, 1 + 2 s], a stencil of five nodes. It is positive definite, the same on any number of ranks,
-and needs one halo exchange. Scaling by diag(G), not by the row sums d, matters on disordered particles: a node whose
-particles are all far from it has a smaller diagonal than its row sum says.
+one-dimensional circulant matrices; on other patterns it resembles that, with the mean over nodes of the entries along
+the axis as theirs. The inverse of each is approximated by a stencil of a few nodes. It is positive definite, the same
+on any number of ranks, and needs one halo exchange. Which scaling brings G closest to a tensor product depends on the
+basis: diag(G) on the linear one (a node whose particles are all far from it has a smaller diagonal than its row sum
+says), halfway to the row sums on the cubic one (`TILT`).
 """
 
 from __future__ import annotations
 
 import atexit
 from collections.abc import Hashable
+from dataclasses import dataclass
 from math import comb
 from typing import Any, Protocol
 from weakref import WeakSet
@@ -28,8 +29,10 @@ from mpipic.grid import FloatArray, Grid
 from mpipic.halo import Halo
 from mpipic.kernels import stencil
 
-REACH = 2
-"""Nodes either side that the preconditioner's stencil along an axis takes."""
+REACH = {1: 2, 2: 5, 3: 8}
+"""Degree of the splines to the nodes either side that the preconditioner's stencil along an axis takes."""
+TILT = {1: 0.0, 2: 0.25, 3: 0.6}
+"""Degree to the exponent t of the preconditioner's scaling, diag(G)^(1 - t) diag(d)^t."""
 EARLIER = 2
 """Solutions of a series that the first guess of the next is extrapolated from."""
 ENTRIES_NOT_NEEDED = ("none", "jacobi", "python")
@@ -50,6 +53,7 @@ class GramMatrix(Protocol):
     """What the solver needs of a mapping."""
 
     grid: Grid
+    weights: FloatArray
     version: int
     """Counts changes of positions."""
 
@@ -58,8 +62,32 @@ class GramMatrix(Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class Penalty:
+    """Roughness penalty of P-splines, ε n̄ Σ_a Δ_sᵀ Δ_s / 4^s: Δ_s the s-th difference along an axis, n̄ = Σ d / m.
+
+    Smooth fields pass; waves that no particle sees are set by their neighbours, so that G with it is positive definite
+    on every pattern, unless all particles sit at too few places to tell polynomials of degree s - 1 apart.
+    """
+
+    strength: float
+    order: int
+
+    def couplings(self) -> FloatArray:
+        """(s + 1,) coefficients of the stencil along one axis, the middle one first; largest symbol 1."""
+        s = self.order
+        return self.strength * np.array([(-1.0) ** j * comb(2 * s, s + j) for j in range(s + 1)]) / 4.0**s
+
+
 class GramStencil:
     """G at the mapping's positions, scaled to unit diagonal; a PETSc shell matrix on own nodes, x fastest.
+
+    Parameters
+    ----------
+    mapping
+        Where G comes from.
+    penalty
+        Added to G.
 
     Attributes
     ----------
@@ -70,17 +98,20 @@ class GramStencil:
 
     Notes
     -----
-    Memory per node: 8 (3^d + 1) / 2 bytes of entries and 3 vectors. `refresh` is collective: two halo exchanges per
-    diagonal; `mult` one.
+    Memory per node: 8 bytes for each of ((2 k + 1)^d + 1) / 2 diagonals on splines of degree k, and 4 vectors.
+    `refresh` is collective: two halo exchanges per diagonal; `mult` one.
     """
 
-    def __init__(self, mapping: GramMatrix) -> None:
+    def __init__(self, mapping: GramMatrix, penalty: Penalty | None = None) -> None:
         grid = mapping.grid
-        self.mapping, self.grid = mapping, grid
-        self.halo = Halo(grid.comm, grid.cells, grid.starts, REACH)
+        self.mapping, self.grid, self.penalty = mapping, grid, penalty
+        self.reach = max(grid.degree, penalty.order if penalty else 0)
+        self.halo = Halo(grid.comm, grid.cells, grid.starts, max(self.reach, REACH[grid.degree]))
         steps = np.array([1, *self.halo.layout[1:]])
         self.shape = grid.padded_shape
-        self.neighbours = stencil.half_stencil(grid.dim)
+        half = stencil.half_stencil(grid.dim, grid.degree)
+        beyond = [[j * (a == axis) for a in range(3)] for axis in range(grid.dim) for j in range(1, self.reach + 1)]
+        self.neighbours = np.array([*half.tolist(), *(row for row in beyond if max(row) > grid.degree)])
         self.offsets = self.neighbours @ steps
         self.entries = np.zeros((len(self.offsets), self.halo.local_nodes))
         self.values, self._product = np.zeros((2, self.halo.local_nodes))
@@ -103,6 +134,8 @@ class GramStencil:
         self.entries.fill(0.0)
         self.mapping.add_gram_entries(halo.layout, self.entries)
         halo.add(*rows)
+        if self.penalty is not None:
+            self._add_penalty(self.penalty)
         root, scale = np.empty((2, halo.local_nodes))
         halo.fill(rows[0])
         stencil.root_and_scale(rows[0], root, scale)
@@ -111,6 +144,23 @@ class GramStencil:
         stencil.scale_entries(self.entries, self.offsets, scale, self.shape, halo.layout)
         halo.fill(*rows)
         return True
+
+    def _add_penalty(self, penalty: Penalty) -> None:
+        """Collective; one reduction."""
+        total = self.grid.reduce(np.array([self.grid.owned(self.mapping.weights).sum()]))[0]
+        couplings = penalty.couplings() * (total / self.grid.node_count)
+        halo = self.halo
+        halo.own(self.entries[0])[...] += self.grid.dim * couplings[0]
+        for axis in range(self.grid.dim):
+            for j, h in enumerate(self._along(axis), start=1):
+                if j <= penalty.order:
+                    halo.own(self.entries[h])[...] += couplings[j]
+
+    def _along(self, axis: int) -> list[int]:
+        """Numbers of the diagonals to the next, second, ... node along an axis."""
+        order = [tuple(j * (a == axis) for a in range(3)) for j in range(1, self.reach + 1)]
+        number = {tuple(offset): h for h, offset in enumerate(self.neighbours.tolist())}
+        return [number[offset] for offset in order]
 
     def load(self, own: FloatArray) -> FloatArray:
         """A padded copy of own values, ghosts filled. Collective."""
@@ -131,12 +181,20 @@ class GramStencil:
         """The diagonal: ones. Local."""
         y.set(1.0)
 
-    def axis_means(self) -> FloatArray:
-        """Mean over nodes that particles see of the entries to the next node along each axis. Collective."""
-        along = [h for h, offset in enumerate(self.neighbours.tolist()) if sorted(offset) == [0, 0, 1]]
-        sums = np.array([self.halo.own(self.entries[h]).sum() for h in (0, *along)])
+    def axis_means(self, tilt: FloatArray | None) -> FloatArray:
+        """Mean over nodes of the entries to the next nodes along each axis, relative to the diagonal's, (d, reach).
+
+        tilt : padded factors, one a node, that rows and columns are multiplied with before. Collective.
+        """
+        halo, rows = self.halo, [0, *(h for axis in range(self.grid.dim) for h in self._along(axis))]
+        sums = np.empty(len(rows))
+        for place, h in enumerate(rows):
+            entries = self.entries[h]
+            if tilt is not None:
+                entries = entries * tilt * np.roll(tilt, -self.offsets[h])
+            sums[place] = halo.own(entries).sum()
         self.grid.reduce(sums)
-        return np.asarray(sums[1:] / max(sums[0], 1.0))
+        return np.asarray(sums[1:] / (sums[0] or 1.0)).reshape(self.grid.dim, self.reach)
 
     def assemble(self, matrix: PETSc.Mat) -> None:
         """Put the entries into an assembled matrix. Collective."""
@@ -160,24 +218,24 @@ class GramStencil:
         matrix.assemble()
 
 
-def inverse_stencil(coupling: float) -> FloatArray:
-    """Weights (REACH + 1,) of the symmetric stencil nearest the inverse of the periodic tridiag(s, 1, s), s = coupling.
+def inverse_stencil(couplings: FloatArray, reach: int) -> FloatArray:
+    """Weights (reach + 1,) of the symmetric stencil near the inverse of the circulant (..., c₂, c₁, 1, c₁, c₂, ...).
 
-    The polynomial p of degree 2 with the least max |1 - λ p(λ)| over the spectrum, by Chebyshev; λ = 1 + 2 s cos θ. A
-    spectrum that reaches 0 is cut there at 0.02 of its upper end: below, 1 - λ p(λ) still lies between 0 and 1, so that
-    the stencil is positive definite whatever the coupling is. Local.
+    With the symbol λ(θ) = 1 + 2 Σ_j c_j cos jθ it is the stencil g that makes 1 - λ g least in the mean square over θ;
+    a symbol that comes near 0 is held above 0.02 of its largest value, and g above 0, so that the stencil is positive
+    definite whatever the couplings are. Local.
     """
-    s = min(coupling, 0.49)
-    middle, half = 1.0, 2.0 * s
-    if half < 1e-8:
-        return np.eye(1, REACH + 1)[0]
-    # 1 - λ p(λ) = T₃(x) / T₃(x₀) with x = (middle - λ) / half = -cos θ, x₀ = middle / half
-    x0 = middle / half
-    top = 4.0 * x0**3 - 3.0 * x0
-    # p(λ) = (T₃(x₀) - T₃(x)) / (T₃(x₀) λ), and λ = half (x₀ - x)
-    scale = 1.0 / (top * half)
-    # (T₃(x₀) - T₃(x)) / (x₀ - x) = 4 (x₀² + x₀ x + x²) - 3, with x = -cos θ, x² = (1 + cos 2θ) / 2
-    return scale * np.array([4.0 * x0 * x0 - 1.0, -2.0 * x0, 1.0])
+    theta = np.linspace(0.0, np.pi, 129)
+    cosines = np.cos(theta[:, None] * np.arange(max(reach, len(couplings)) + 1))
+    cosines[:, 1:] *= 2.0
+    symbol = cosines[:, : len(couplings) + 1] @ np.concatenate([[1.0], couplings])
+    symbol = np.maximum(symbol, 0.02 * symbol.max())
+    basis = cosines[:, : reach + 1]
+    ends = np.where((theta == 0.0) | (theta == np.pi), np.sqrt(0.5), 1.0)  # the trapezoidal rule over a period
+    weights = np.asarray(np.linalg.lstsq((ends * symbol)[:, None] * basis, ends, rcond=None)[0])
+    least = 0.1 / symbol.max()
+    weights[0] += max(0.0, least - float((basis @ weights).min()))
+    return weights
 
 
 class TensorPreconditioner:
@@ -190,23 +248,34 @@ class TensorPreconditioner:
 
     def __init__(self, matrix: GramStencil) -> None:
         self.matrix = matrix
-        shape = matrix.halo.ghost_shape
+        shape, self._reach = matrix.halo.ghost_shape, REACH[matrix.grid.degree]
         self._plane, self._line = np.empty(int(np.prod(shape[:2]))), np.empty(shape[0])
-        self.weights = np.eye(1, REACH + 1).repeat(3, axis=0)
+        self.weights = np.eye(1, self._reach + 1).repeat(3, axis=0)
+        self._tilt: FloatArray | None = None
 
     def refresh(self) -> None:
-        """Take the couplings of the matrix as it is now."""
-        for axis, coupling in enumerate(self.matrix.axis_means()):
-            self.weights[axis] = inverse_stencil(float(coupling))
+        """Take scaling and couplings of the matrix as it is now."""
+        matrix, tilt = self.matrix, TILT[self.matrix.grid.degree]
+        padded = None
+        if tilt and matrix.penalty is None:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                ratio = matrix.root**2 / matrix.grid.nodes.own(matrix.mapping.weights).ravel()
+            self._tilt = np.where(matrix.root > 0.0, ratio, 0.0) ** (0.5 * tilt)
+            padded = matrix.load(self._tilt).copy()
+        for axis, couplings in enumerate(matrix.axis_means(padded)):
+            self.weights[axis] = inverse_stencil(couplings, self._reach)
 
     def apply(self, pc: Any, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """y = the stencils times x, as PETSc calls it."""
         matrix = self.matrix
-        values = matrix.load(x.getArray(readonly=True))
+        own = x.getArray(readonly=True)
+        values = matrix.load(own if self._tilt is None else own * self._tilt)
         with y as out:
             stencil.convolve(
                 values, self.weights, matrix.shape, matrix.halo.layout, self._plane, self._line, out
             )  # fmt: skip
+            if self._tilt is not None:
+                out *= self._tilt
             out[matrix.unseen] = 0.0
 
 
@@ -252,6 +321,8 @@ class GramSolver:
         error of Φ a on the particles.
     prefix
         Of the options.
+    penalty
+        Solve with G and this penalty instead.
 
     Attributes
     ----------
@@ -264,8 +335,10 @@ class GramSolver:
     vectors, and EARLIER vectors for each column of each series.
     """
 
-    def __init__(self, mapping: GramMatrix, tolerance: float, prefix: str = "filter_") -> None:
-        self.matrix = GramStencil(mapping)
+    def __init__(
+        self, mapping: GramMatrix, tolerance: float, prefix: str = "filter_", penalty: Penalty | None = None
+    ) -> None:
+        self.matrix = GramStencil(mapping, penalty)
         self.preconditioner = TensorPreconditioner(self.matrix)
         self.tolerance, self.iterations = tolerance, 0
         self._earlier: dict[Hashable, Series] = {}

@@ -21,6 +21,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from mpipic.basis import DEGREES, REACH
 from mpipic.decomposition import process_grid
 from mpipic.halo import FloatArray, Halo
 
@@ -54,13 +55,15 @@ class Grid:
         Period per axis, any unit of length.
     comm
         mpi4py communicator; every rank must take part in building the grid and in the halo verbs.
-    reach : (int, int)
-        How many nodes below and above the lower node of its cell a particle touches; (0, 1) on the linear basis.
+    basis
+        linear, quadratic or cubic: the B-splines that particles see the nodes through.
 
     Attributes
     ----------
     dim, cells, length, h
         Dimension, cells, period and spacing per axis.
+    degree
+        Of the basis.
     owned_start, owned_shape
         First own cell, and number of own cells, per axis (x, y, z).
     local_nodes, local_cells
@@ -91,7 +94,7 @@ class Grid:
         cells: Sequence[int],
         length: Sequence[float],
         comm: MPI.Comm = MPI.COMM_WORLD,
-        reach: tuple[int, int] = (0, 1),
+        basis: str = "linear",
     ) -> None:
         self.comm, self.rank, self.size = comm, comm.rank, comm.size
         self.cells = tuple(int(n) for n in cells)
@@ -110,6 +113,8 @@ class Grid:
             raise ValueError(f"{self.size} ranks cannot share {self.cells} cells with at least one each")
         self.blocks = blocks
         self.starts = self._divide()
+        self.degree = DEGREES[basis]
+        reach = REACH[self.degree]
         self.nodes = Halo(comm, self.cells, self.starts, max(reach), reach)
         self.owned_start, self.owned_shape = self.nodes.owned_start, self.nodes.owned_shape
         self.local_nodes, self.layout = self.nodes.local_nodes, self.nodes.layout

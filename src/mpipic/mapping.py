@@ -1,4 +1,4 @@
-"""Mapping between particles and nodes on the linear basis, with lumped mass.
+"""Mapping between particles and nodes.
 
 Symbols as in the method: Φ interpolates nodes to particles, D^a differentiates, d = Φᵀ1 are the row sums, and
 S = diag(d)⁻¹ Φᵀ is the paper's mapping matrix. Both classes here answer the same questions at the particles' present
@@ -14,14 +14,15 @@ import numpy as np
 
 from mpipic import migration
 from mpipic.grid import FloatArray, Grid, columns_of, raise_together
-from mpipic.kernels import BY_DIMENSION, generic, stencil
+from mpipic.kernels import BY_DIMENSION, generic, spline, stencil
 from mpipic.particles import IntArray, Particles, locate
 
 
 class NodalMapping:
     """What filters and solvers need of a mapping: the operators that S Φ is made of, on nodal arrays.
 
-    On the linear basis they follow from the pair moments of every cell (see `kernels.cells`).
+    On the linear basis G follows from the pair moments of every cell (see `kernels.cells`), on the others from passes
+    over the particles.
 
     Attributes
     ----------
@@ -54,10 +55,28 @@ class NodalMapping:
             generic.scale_rows(sums, self.inverse_weights, result)
         return result
 
+    @property
+    def located(self) -> tuple[IntArray, FloatArray]:
+        """Local cell (n,) and local coordinates (n, d) of the particles. Local."""
+        raise NotImplementedError
+
+    @property
+    def particle_weights(self) -> FloatArray:
+        """What each particle counts, (n,). Local."""
+        raise NotImplementedError
+
     def gram(self, nodal: FloatArray, out: FloatArray) -> FloatArray:
         """out += G nodal, one column; complete it afterwards. Local."""
         grid = self.grid
-        BY_DIMENSION[grid.dim].gram(self.moments, grid.padded_shape, grid.layout, nodal, out)
+        if grid.degree == 1:
+            BY_DIMENSION[grid.dim].gram(self.moments, grid.padded_shape, grid.layout, nodal, out)
+            return out
+        where = (*self.located,)
+        seen = np.zeros((len(where[0]), 1))
+        geometry = (grid.padded_shape, grid.layout)
+        spline.add_interpolated(grid.degree, *where, np.ascontiguousarray(nodal), np.ones(1), *geometry, seen)
+        seen *= self.particle_weights[:, None]
+        spline.add_sums(grid.degree, *where, seen, *geometry, out)
         return out
 
     def apply_gram(self, nodal: FloatArray) -> FloatArray:
@@ -76,9 +95,12 @@ class NodalMapping:
 
         Local; ghosts still hold what belongs to their owners.
         """
-        self.phase("nodes")
-        dim = self.grid.dim
-        stencil.add_moments(self.moments, stencil.moment_terms(dim), self.grid.padded_shape, layout, entries)
+        dim, degree, shape = self.grid.dim, self.grid.degree, self.grid.padded_shape
+        if degree == 1:
+            stencil.add_moments(self.moments, stencil.moment_terms(dim), shape, layout, entries)
+        else:
+            offsets = stencil.half_stencil(dim, degree)
+            spline.add_gram_entries(degree, *self.located, self.particle_weights, offsets, shape, layout, entries)
 
     def complete(self, sums: FloatArray) -> FloatArray:
         """Nodal sums made right on own and ghost nodes: one halo sum, one fill. Collective on neighbours."""
@@ -134,6 +156,7 @@ class Mapping(NodalMapping):
         self.grid = grid
         self.version = 0
         self.phase = lambda name: None
+        self._degree = grid.degree
         self._geometry = (grid.padded_shape, grid.layout)
         self._inverse_h = np.array(grid.inverse_h)
 
@@ -164,7 +187,7 @@ class Mapping(NodalMapping):
         """Pair moments of own cells, (local_cells, 3^d); one pass over the particles when first asked for."""
         if self._moments is None:
             self._moments = np.zeros((self.grid.local_cells, 3**self.grid.dim))
-            generic.add_moments(self._cell, self._fraction, self._each(), self._moments)
+            generic.add_moments(self._cell, self._fraction, self.particle_weights, self._moments)
         return self._moments
 
     @property
@@ -183,7 +206,9 @@ class Mapping(NodalMapping):
         """Local cell (n,) and local coordinates (n, d) of the particles. Local."""
         return self._cell, self._fraction
 
-    def _each(self) -> FloatArray:
+    @property
+    def particle_weights(self) -> FloatArray:
+        """What each particle counts, (n,). Local."""
         return np.ones(len(self._cell)) if self.weight is None else self.weight
 
     def sums(self, values: FloatArray) -> FloatArray:
@@ -195,7 +220,7 @@ class Mapping(NodalMapping):
         if self.weight is not None:
             rows = rows * self.weight[:, None]
         out = self.grid.zeros(rows.shape[1])
-        generic.add_sums(self._cell, self._fraction, rows, *self._geometry, out)
+        spline.add_sums(self._degree, self._cell, self._fraction, rows, *self._geometry, out)
         return self.complete(out).reshape((-1, *np.shape(values)[1:]))
 
     def p2g(self, values: FloatArray) -> FloatArray:
@@ -203,22 +228,25 @@ class Mapping(NodalMapping):
         return self.divide(self.sums(values))
 
     def g2p(self, nodal: FloatArray) -> FloatArray:
-        """Φ nodal: interpolation, (local_nodes, ...) to (n, ...). Keeps constants and linear functions. Local."""
+        """Φ nodal: spline values, (local_nodes, ...) to (n, ...). Keeps constants and linear functions. Local."""
         rows = columns_of(nodal)
         out = np.zeros((len(self._cell), rows.shape[1]))
-        generic.add_interpolated(self._cell, self._fraction, rows, *self._geometry, out)
+        rate = np.ones(rows.shape[1])
+        spline.add_interpolated(self._degree, self._cell, self._fraction, rows, rate, *self._geometry, out)
         return out.reshape((-1, *np.shape(nodal)[1:]))
 
     def gradient(self, nodal: FloatArray) -> FloatArray:
         """D^a nodal: (local_nodes,) to (n, d); on a node, the slope of the cell to its right. Local."""
         out = np.zeros_like(self._fraction)
-        generic.add_gradient(self._cell, self._fraction, nodal.reshape(-1), self._inverse_h, *self._geometry, out)
+        where = (self._degree, self._cell, self._fraction)
+        spline.add_gradient(*where, nodal.reshape(-1), 1.0, self._inverse_h, *self._geometry, out)
         return out
 
     def divergence(self, nodal: FloatArray) -> FloatArray:
         """Σ_a D^a nodal_a: (local_nodes, d) to (n,). Local."""
         out = np.zeros(len(self._cell))
-        generic.add_divergence(self._cell, self._fraction, columns_of(nodal), self._inverse_h, *self._geometry, out)
+        where = (self._degree, self._cell, self._fraction)
+        spline.add_divergence(*where, columns_of(nodal), 1.0, self._inverse_h, *self._geometry, out)
         return out
 
 

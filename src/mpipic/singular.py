@@ -20,7 +20,7 @@ from petsc4py import PETSc
 
 from mpipic.errors import NotConverged
 from mpipic.grid import FloatArray
-from mpipic.kernels import generic
+from mpipic.kernels import spline
 
 if TYPE_CHECKING:
     from mpipic.mapping import Mapping
@@ -141,7 +141,7 @@ def _read(solver: Any, matrix: PETSc.Mat, triplets: int, own: int) -> tuple[Floa
 def _transposed_matrix(mapping: Mapping, each: FloatArray) -> PETSc.Mat:
     """(S V^-½)ᵀ, n × m: a row a particle, entries V_p^½ φ_i(x_p) / d_i; nodes numbered rank by rank."""
     grid = mapping.grid
-    nodes, corners = grid.nodes, 2**grid.dim
+    nodes, corners = grid.nodes, (grid.degree + 1) ** grid.dim
     comm: Any = grid.comm
     first = comm.scan(grid.local_cells) - grid.local_cells
     number = np.zeros(nodes.local_nodes)
@@ -150,7 +150,7 @@ def _transposed_matrix(mapping: Mapping, each: FloatArray) -> PETSc.Mat:
     nodes.fill(number)
     node = np.empty((mapping.count, corners), dtype=np.int64)
     value = np.empty((mapping.count, corners))
-    generic.shape_functions(*mapping.located, grid.padded_shape, grid.layout, node, value)
+    spline.shape_functions(grid.degree, *mapping.located, grid.padded_shape, grid.layout, node, value)
     value *= each[:, None] * mapping.inverse_weights[node]
     sizes = ((mapping.count, comm.allreduce(mapping.count)), (grid.local_cells, grid.node_count))
     matrix = PETSc.Mat().createAIJ(sizes, nnz=corners, comm=comm)

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from mpipic import Grid, LocalFilter, Mapping, Placement
+from mpipic.filters import ExactFilter, SvdFilter
 from mpipic.runtime import start
 
 COMM = start()
@@ -32,7 +33,8 @@ def particles(dim: int, distribution: str) -> dict[str, np.ndarray]:
     position[30] = 0.0
     if distribution == "corner":
         position *= 0.2
-    return {"position": position, "scalar": rng.standard_normal(COUNT), "vector": rng.standard_normal((COUNT, 3))}
+    scalar, vector = rng.standard_normal(COUNT), rng.standard_normal((COUNT, 3))
+    return {"position": position, "scalar": scalar, "vector": vector, "weight": 10.0 ** rng.uniform(-1.0, 1.0, COUNT)}
 
 
 def held_by(distribution: str) -> np.ndarray:
@@ -50,6 +52,17 @@ def held_by(distribution: str) -> np.ndarray:
 
 DISTRIBUTIONS = ("blocks", "interleaved", "last", "first-has-none", "corner")
 """Of particles over ranks; corner: they fill so little of the box that some ranks own none."""
+WEIGHTED = "interleaved"
+"""How particles of different weights are distributed."""
+
+
+def filters_of(mapping: Mapping) -> dict[str, object]:
+    """Those that are compared with dense matrices, by kind."""
+    return {
+        "local": LocalFilter(mapping),
+        "exact": ExactFilter(mapping, tolerance=1e-12),
+        "svd": SvdFilter(mapping),
+    }
 
 
 def in_order_of_ids(mine: np.ndarray, **values: np.ndarray) -> dict[str, np.ndarray] | None:
@@ -71,19 +84,19 @@ def run_case(dim: int, distribution: str) -> dict[str, np.ndarray] | None:
     grid = Grid(*BOXES[dim])
     placement = Placement(grid, given["position"])
     mapping = Mapping(grid, placement.position)
-    smooth = LocalFilter(mapping)
     scalar, vector = placement.to_owners(given["scalar"]), placement.to_owners(given["vector"])
     ids = placement.to_owners(mine.astype(float)).astype(int)
     nodal = mapping.p2g(vector)
     back = {
         "round_trip": placement.to_callers(scalar),
         "round_trip_vector": placement.to_callers(vector),
-        "filtered": placement.to_callers(smooth(scalar)),
-        "filtered_vector": placement.to_callers(smooth.apply(vector)),
         "slope": placement.to_callers(mapping.gradient(nodal[:, 0].copy())),
         "divergence": placement.to_callers(mapping.divergence(nodal[:, :dim].copy())),
         "owner": placement.to_callers(np.full(len(ids), float(COMM.rank))),
     }
+    for kind, keep in filters_of(mapping).items():
+        back[kind] = placement.to_callers(keep(scalar))
+        back[f"{kind}_vector"] = placement.to_callers(keep.apply(vector))
     assert all(len(values) == len(mine) for values in back.values())
     assert np.array_equal(scalar, whole["scalar"][ids]) and np.array_equal(placement.position, whole["position"][ids])
     sums = COMM.allreduce(grid.owned(mapping.sums(vector)).reshape(-1, 3).sum(axis=0))
@@ -92,9 +105,24 @@ def run_case(dim: int, distribution: str) -> dict[str, np.ndarray] | None:
     return None if result is None else {**result, "sums": sums, "weights": np.array(weights)}
 
 
+def run_weighted_case(dim: int) -> dict[str, np.ndarray] | None:
+    """Place particles of different weights, filter, and bring the result back to the holders."""
+    whole = particles(dim, WEIGHTED)
+    mine = np.flatnonzero(held_by(WEIGHTED) == COMM.rank)
+    grid = Grid(*BOXES[dim])
+    placement = Placement(grid, whole["position"][mine])
+    weight, vector = (placement.to_owners(whole[name][mine]) for name in ("weight", "vector"))
+    mapping = Mapping(grid, placement.position, weight)
+    back = {kind: placement.to_callers(keep.apply(vector)) for kind, keep in filters_of(mapping).items()}
+    return in_order_of_ids(mine, **back)
+
+
 def main(folder: Path) -> None:
     """Run all cases."""
     for dim in BOXES:
+        result = run_weighted_case(dim)
+        if result is not None:
+            np.savez(folder / f"{dim}d-weighted.npz", **result)
         for distribution in DISTRIBUTIONS:
             result = run_case(dim, distribution)
             if result is not None:

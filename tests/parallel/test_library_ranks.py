@@ -20,6 +20,8 @@ _spec.loader.exec_module(program)
 pytestmark = pytest.mark.mpi
 
 RANKS = (1, 2, 3, 4)
+TOLERANCE = {"local": 1e-12, "svd": 1e-12, "exact": 1e-10}
+"""Of values of size 1; exact is solved to a residual of 1e-12, and the error may be larger than the residual."""
 Answer = dict[str, np.ndarray]
 
 
@@ -91,8 +93,8 @@ def test_mapping_and_filter_are_the_dense_matrices(
     means = np.divide(phi.T, weights[:, None], out=np.zeros_like(phi.T), where=weights[:, None] > 0)
     nodal = means @ whole["vector"]
     expected = {
-        "filtered": phi @ (means @ whole["scalar"]),
-        "filtered_vector": phi @ nodal,
+        "local": phi @ (means @ whole["scalar"]),
+        "local_vector": phi @ nodal,
         "slope": np.stack([slope @ nodal[:, 0] for slope in slopes], axis=1),
         "divergence": np.sum([slope @ nodal[:, axis] for axis, slope in enumerate(slopes)], axis=0),
         "sums": whole["vector"].sum(axis=0),
@@ -101,5 +103,42 @@ def test_mapping_and_filter_are_the_dense_matrices(
         difference = float(np.abs(found[name] - values).max())
         assert difference < 1e-12 * float(np.abs(values).max()), name
     assert abs(float(found["weights"]) - program.COUNT) < 1e-10
-    changed = float(np.abs(expected["filtered"] - whole["scalar"]).max())
+    changed = float(np.abs(expected["local"] - whole["scalar"]).max())
     assert changed > 0.1, "a filter that does nothing must not pass"
+
+
+def projection(phi: np.ndarray, weight: np.ndarray | None = None) -> np.ndarray:
+    """Φ (ΦᵀVΦ)⁺ ΦᵀV as a full matrix, by the singular values of V^½ Φ; V is the identity without weights."""
+    each = np.ones(len(phi)) if weight is None else np.sqrt(weight)
+    u, s, _ = np.linalg.svd(each[:, None] * phi, full_matrices=False)
+    kept = s > 1e-10 * s[0]
+    assert np.all(s[kept] > 1e-6 * s[0]), "rank must not be a matter of rounding"
+    return (u[:, kept] @ u[:, kept].T) * each / each[:, None]
+
+
+@pytest.mark.parametrize("kind", ["exact", "svd"])
+@pytest.mark.parametrize(("dim", "distribution", "ranks"), EVERYWHERE)
+def test_the_global_filters_are_the_dense_projection(
+    answers: Callable[..., Answer], dim: int, distribution: str, ranks: int, kind: str
+) -> None:
+    found, whole = answers(dim, distribution, ranks), program.particles(dim, distribution)
+    keep = projection(dense(dim, distribution)[0])
+    for name, values in ((kind, whole["scalar"]), (f"{kind}_vector", whole["vector"])):
+        expected = keep @ values
+        assert float(np.abs(found[name] - expected).max()) < TOLERANCE[kind]
+        assert float(np.abs(expected - found[name.replace(kind, "local")]).max()) > 0.1, "not the local filter"
+
+
+@pytest.mark.parametrize("ranks", RANKS)
+@pytest.mark.parametrize("dim", [1, 2, 3])
+def test_filters_of_weighted_particles_are_the_dense_matrices_and_keep_the_weighted_sum(
+    answers: Callable[..., Answer], dim: int, ranks: int
+) -> None:
+    found, whole = answers(dim, "weighted", ranks), program.particles(dim, program.WEIGHTED)
+    phi, weight, q = dense(dim, program.WEIGHTED)[0], whole["weight"], whole["vector"]
+    local = phi @ ((phi.T * weight) / (phi.T @ weight)[:, None])
+    for kind, keep in {"local": local, "exact": projection(phi, weight), "svd": projection(phi, weight)}.items():
+        assert float(np.abs(found[kind] - keep @ q).max()) < TOLERANCE[kind], kind
+        lost = float(np.abs(weight @ found[kind] - weight @ q).max())
+        assert lost < 1e-11 * float(weight @ np.abs(q).max(axis=1)), kind
+        assert np.abs(found[kind].sum(axis=0) - q.sum(axis=0)).max() > 0.1, "the plain sum is another"

@@ -18,6 +18,7 @@ pytestmark = pytest.mark.mpi
 Facts = Callable[[int], dict[str, Any]]
 RANKS = (2, 4, 8)
 STEPS = 12
+SOLVER = ("KSPSolve", "MatMult", "PCApply")
 EQUAL = ("1d", "2d", "3d", "1d-single")  # equal blocks on 2, 4 and 8 ranks
 # a particle within rounding of a face may end on either side: where a moved block's faces fall on those of blocks
 # (still, along-x, and whole steps of cells), both sides are met
@@ -85,8 +86,12 @@ def test_eight_ranks_have_no_more_destinations_than_four(facts: Facts, box: str,
     assert destinations(facts, 8, box, move) == destinations(facts, 4, box, move) == 2
 
 
+# at their default orders: order and chebyshev apply the Gram matrix once more than local
+NEIGHBOURLY = ("none", "local", "order", "chebyshev")
+
+
 @pytest.mark.parametrize("ranks", RANKS)
-@pytest.mark.parametrize("kind", ["none", "local"])
+@pytest.mark.parametrize("kind", NEIGHBOURLY)
 def test_a_step_calls_neighbours_only_once_for_counts_and_once_for_particles(
     facts: Facts, kind: str, ranks: int
 ) -> None:
@@ -96,13 +101,55 @@ def test_a_step_calls_neighbours_only_once_for_counts_and_once_for_particles(
         assert rank["counted"] >= 2, "the communicators of the run and of its routes must be watched"
         assert rank["calls"] == {"Neighbor_alltoall": STEPS, "Neighbor_alltoallv": STEPS}
         assert rank["petsc_reductions"] == 0
+        assert not any(rank["events"][name] for name in SOLVER)
 
 
-@pytest.mark.parametrize("kind", ["none", "local"])
+@pytest.mark.parametrize("kind", NEIGHBOURLY)
 def test_halo_messages_of_a_rank_do_not_grow_with_the_number_of_ranks(facts: Facts, kind: str) -> None:
     most = {ranks: max(rank["halo_messages"] for rank in facts(ranks)["step"][kind]["ranks"]) for ranks in RANKS}
     assert most[2] == most[4] > 0, "slabs"
     assert most[8] <= 3 * most[2], "2 x 4 blocks: across a side, across the other, across the corner"
+
+
+# a step of the exact filter solves for the divergence and for both components of the gradient
+SOLVES = 3 * STEPS
+
+
+@pytest.mark.parametrize("ranks", RANKS)
+def test_the_exact_filter_reduces_once_a_move_once_a_solve_and_twice_an_iteration(facts: Facts, ranks: int) -> None:
+    step = facts(ranks)["step"]["exact"]
+    assert min(step["migrated"]) > 0
+    for rank in step["ranks"]:
+        events = rank["events"]
+        iterations = events["MatMult"] - SOLVES  # one more a solve, of the first guess
+        assert events["KSPSolve"] == SOLVES and iterations > 2 * SOLVES
+        assert rank["calls"] == {
+            "Neighbor_alltoall": STEPS, "Neighbor_alltoallv": STEPS, "Allreduce": STEPS + SOLVES,
+        }  # fmt: skip
+        assert 2 * iterations <= rank["petsc_reductions"] <= 2 * iterations + 2 * SOLVES
+
+
+@pytest.mark.parametrize("ranks", RANKS)
+def test_an_iteration_of_the_exact_filter_exchanges_the_halo_twice(facts: Facts, ranks: int) -> None:
+    for rank, local in zip(*(facts(ranks)["step"][kind]["ranks"] for kind in ("exact", "local")), strict=True):
+        events = rank["events"]
+        assert events["SFReduceBegin"] == local["events"]["SFReduceBegin"] + 5 * STEPS, "half a stencil of 9 points"
+        # filled besides: the stencil and its diagonal once a move, every answer
+        besides = events["SFBcastBegin"] - local["events"]["SFBcastBegin"] - 6 * STEPS - SOLVES
+        assert 0 < besides <= events["MatMult"] + events["PCApply"]
+        assert events["PCApply"] <= events["MatMult"] + SOLVES
+
+
+def test_the_exact_filter_sends_to_neighbours_and_iterates_alike_on_any_number_of_ranks(facts: Facts) -> None:
+    found = {ranks: facts(ranks)["step"]["exact"]["ranks"] for ranks in RANKS}
+    each = {
+        ranks: max(r["halo_messages"] / (r["events"]["SFBcastBegin"] + r["events"]["SFReduceBegin"]) for r in here)
+        for ranks, here in found.items()
+    }
+    assert 0 < each[4] <= 2 * each[2], "slabs: one neighbour, or two"
+    assert each[8] <= 5 * each[2], "2 x 4 blocks: five of the seven others"
+    mults = {rank["events"]["MatMult"] for here in found.values() for rank in here}
+    assert max(mults) - min(mults) <= SOLVES
 
 
 def test_all_ranks_talk_only_at_the_looks_that_a_run_agrees_on(facts: Facts) -> None:

@@ -6,7 +6,7 @@ every particle once; the mapping loops then use its answer.
 
 import numpy as np
 
-from mpipic.kernels.common import U, cell_and_fraction, hot
+from mpipic.kernels.common import cell_and_fraction, hot
 
 
 @hot
@@ -40,60 +40,6 @@ def node_of(cell, shape, layout):
 
 
 @hot
-def _corner(corner, dim, layout):
-    """Offset of corner 0 to 2^d - 1 (bit a: upper node along axis a) from the lowest node of its cell."""
-    offset = corner & 1
-    for a in range(1, dim):
-        offset += ((corner >> a) & 1) * layout[a]
-    return offset
-
-
-@hot
-def _weight(corner, fraction, p):
-    w = 1.0
-    for a in range(fraction.shape[1]):
-        w *= fraction[p, a] if (corner >> a) & 1 else 1.0 - fraction[p, a]
-    return w
-
-
-@hot
-def _slope_weight(corner, axis, fraction, p, inverse_h):
-    """Derivative along `axis` of the corner's shape function."""
-    w = inverse_h[axis]
-    for a in range(fraction.shape[1]):
-        upper = (corner >> a) & 1
-        if a == axis:
-            w *= 1.0 if upper else -1.0
-        else:
-            w *= fraction[p, a] if upper else 1.0 - fraction[p, a]
-    return w
-
-
-@hot
-def add_sums(cell, fraction, values, shape, layout, out):
-    """out += Φᵀ values, column by column."""
-    dim, columns = fraction.shape[1], values.shape[1]
-    for p in range(cell.size):
-        node = node_of(cell[p], shape, layout)
-        for corner in range(1 << dim):
-            n = U(node + _corner(corner, dim, layout))
-            w = _weight(corner, fraction, p)
-            for k in range(columns):
-                out[n, U(k)] += w * values[p, k]
-
-
-@hot
-def shape_functions(cell, fraction, shape, layout, node, value):
-    """The nodes that each particle touches and its weights there, (n, 2^d)."""
-    dim = fraction.shape[1]
-    for p in range(cell.size):
-        first = node_of(cell[p], shape, layout)
-        for corner in range(1 << dim):
-            node[p, corner] = first + _corner(corner, dim, layout)
-            value[p, corner] = _weight(corner, fraction, p)
-
-
-@hot
 def add_moments(cell, fraction, weight, out):
     """out (cells, 3^d) += the pair moments of every particle times its weight (see `kernels.cells`)."""
     dim, width = fraction.shape[1], out.shape[1]
@@ -106,43 +52,6 @@ def add_moments(cell, fraction, weight, out):
                 lower = 1.0 - upper
                 product *= lower * lower if pair == 0 else lower * upper if pair == 1 else upper * upper
             out[cell[p], q] += product
-
-
-@hot
-def add_interpolated(cell, fraction, nodal, shape, layout, out):
-    """out += Φ nodal, column by column."""
-    dim, columns = fraction.shape[1], nodal.shape[1]
-    for p in range(cell.size):
-        node = node_of(cell[p], shape, layout)
-        for corner in range(1 << dim):
-            n = U(node + _corner(corner, dim, layout))
-            w = _weight(corner, fraction, p)
-            for k in range(columns):
-                out[p, k] += w * nodal[n, U(k)]
-
-
-@hot
-def add_gradient(cell, fraction, nodal, inverse_h, shape, layout, out):
-    """out[:, a] += D^a nodal, for one column."""
-    dim = fraction.shape[1]
-    for p in range(cell.size):
-        node = node_of(cell[p], shape, layout)
-        for corner in range(1 << dim):
-            value = nodal[U(node + _corner(corner, dim, layout))]
-            for a in range(dim):
-                out[p, a] += _slope_weight(corner, a, fraction, p, inverse_h) * value
-
-
-@hot
-def add_divergence(cell, fraction, nodal, inverse_h, shape, layout, out):
-    """out += sum over the axes of D^a nodal[:, a]."""
-    dim = fraction.shape[1]
-    for p in range(cell.size):
-        node = node_of(cell[p], shape, layout)
-        for corner in range(1 << dim):
-            n = U(node + _corner(corner, dim, layout))
-            for a in range(dim):
-                out[p] += _slope_weight(corner, a, fraction, p, inverse_h) * nodal[n, U(a)]
 
 
 @hot

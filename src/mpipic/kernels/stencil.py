@@ -1,9 +1,9 @@
 """The Gram matrix as a stencil on nodes: assembled from pair moments, applied, and the stencil that nearly inverts it.
 
-G is symmetric, so of its 3^d diagonals those with a positive offset and the main one are kept: entries[h, n] couples
-node n to node n + offsets[h]. Arrays are padded (see `mpipic.halo`) but where compact is said: own
-nodes only. `layout` is the padded arrays', `shape` the own nodes per axis. Inner loops run along x, over contiguous
-memory.
+G is symmetric, so of its (2 k + 1)^d diagonals on splines of degree k those with a positive offset and the main one are
+kept: entries[h, n] couples node n to node n + offsets[h]. Arrays are padded (see `mpipic.halo`) but where compact is
+said: own nodes only. `layout` is the padded arrays', `shape` the own nodes per axis. Inner loops run along x, over
+contiguous memory.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ CELLS_AT_ONCE = 64
 NODES_AT_ONCE = 2048
 
 
-def half_stencil(dim):
-    """Offsets (h, 3) of one half of the 3^d neighbours, x first: the node itself, then those that follow it."""
-    spans = [(-1, 0, 1) if a < dim else (0,) for a in range(3)]
+def half_stencil(dim, reach=1):
+    """Offsets (h, 3) of half of the (2 reach + 1)^d nodes around one, x first: itself, then those that follow it."""
+    spans = [range(-reach, reach + 1) if a < dim else (0,) for a in range(3)]
     every = [(i, j, k) for k in spans[2] for j in spans[1] for i in spans[0]]
     return np.array(every[len(every) // 2 :], dtype=np.int64)
 

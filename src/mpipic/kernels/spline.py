@@ -1,0 +1,216 @@
+"""Sums over particles of B-spline shape functions of degree 1, 2 or 3, in one, two or three dimensions.
+
+Splines are centred on nodes. `cell` is a particle's local cell, `fraction` its local coordinates in it; along an axis
+it touches degree + 1 nodes, the first `offset` nodes from the one that opens its cell: 0 for linear; for quadratic -1
+in the lower half of the cell and 0 in the upper; -1 for cubic. Nodal arrays are padded by the reach, `shape` is the own
+cells per axis, padded with 1, `layout` = (first own node, strides of y and z).
+"""
+
+import numpy as np
+
+from mpipic.kernels.common import U, hot, inlined
+from mpipic.kernels.generic import node_of
+
+ON_BREAK = 1e-10
+
+
+@hot
+def weights(degree, x, w):
+    """Fill w[: degree + 1] for local coordinate x; returns the offset of the first node."""
+    if degree == 1:
+        w[0], w[1] = 1.0 - x, x
+        return 0
+    if degree == 2:
+        upper = x >= 0.5 - ON_BREAK
+        t = x - 1.0 if upper else x
+        w[0], w[1], w[2] = 0.5 * (0.5 - t) ** 2, 0.75 - t * t, 0.5 * (0.5 + t) ** 2
+        return 0 if upper else -1
+    y = 1.0 - x
+    w[0], w[3] = y * y * y / 6.0, x * x * x / 6.0
+    w[1], w[2] = 2.0 / 3.0 - x * x * (1.0 - 0.5 * x), 2.0 / 3.0 - y * y * (1.0 - 0.5 * y)
+    return -1
+
+
+@hot
+def slopes(degree, x, inverse_h, s):
+    """Fill s[: degree + 1] with the derivatives; right-hand ones where there are two."""
+    if degree == 1:
+        s[0], s[1] = -inverse_h, inverse_h
+    elif degree == 2:
+        t = x - 1.0 if x >= 0.5 - ON_BREAK else x
+        s[0], s[1], s[2] = (t - 0.5) * inverse_h, -2.0 * t * inverse_h, (t + 0.5) * inverse_h
+    else:
+        y = 1.0 - x
+        s[0], s[3] = -0.5 * y * y * inverse_h, 0.5 * x * x * inverse_h
+        s[1], s[2] = -x * (2.0 - 1.5 * x) * inverse_h, y * (2.0 - 1.5 * y) * inverse_h
+
+
+@inlined
+def _scratch():
+    """Weights and slopes per axis (an axis that there is not has the one weight 1), and nodes per axis."""
+    return np.ones((3, 4)), np.ones((3, 4)), np.ones(3, np.int64)
+
+
+@hot
+def _find(degree, cell, fraction, p, shape, layout, w, count):
+    """Weights of particle p per axis; returns its first node."""
+    node = node_of(cell[p], shape, layout)
+    for a in range(fraction.shape[1]):
+        offset = weights(degree, fraction[p, a], w[a])
+        node += offset if a == 0 else offset * layout[a]
+        count[a] = degree + 1
+    return node
+
+
+@hot
+def add_sums(degree, cell, fraction, values, shape, layout, out):
+    """out += Φᵀ values, column by column."""
+    w, _, count = _scratch()
+    columns = values.shape[1]
+    for p in range(cell.size):
+        first = _find(degree, cell, fraction, p, shape, layout, w, count)
+        for k in range(count[2]):
+            for j in range(count[1]):
+                row, wjk = first + j * layout[1] + k * layout[2], w[2, k] * w[1, j]
+                for i in range(count[0]):
+                    n, wijk = U(row + i), wjk * w[0, i]
+                    for c in range(columns):
+                        out[n, U(c)] += wijk * values[p, c]
+
+
+@hot
+def add_interpolated(degree, cell, fraction, nodal, rate, shape, layout, out):
+    """out += rate[column] Φ nodal, column by column."""
+    w, _, count = _scratch()
+    columns = nodal.shape[1]
+    total = np.empty(columns)
+    for p in range(cell.size):
+        first = _find(degree, cell, fraction, p, shape, layout, w, count)
+        total[:] = 0.0
+        for k in range(count[2]):
+            for j in range(count[1]):
+                row, wjk = first + j * layout[1] + k * layout[2], w[2, k] * w[1, j]
+                for i in range(count[0]):
+                    n, wijk = U(row + i), wjk * w[0, i]
+                    for c in range(columns):
+                        total[c] += wijk * nodal[n, U(c)]
+        for c in range(columns):
+            out[p, c] += rate[c] * total[c]
+
+
+@hot
+def _along(axis, w, s, i, j, k):
+    """The shape function of corner (i, j, k), differentiated along `axis`."""
+    x = s[0, i] if axis == 0 else w[0, i]
+    y = s[1, j] if axis == 1 else w[1, j]
+    z = s[2, k] if axis == 2 else w[2, k]
+    return x * y * z
+
+
+@hot
+def _find_slopes(degree, fraction, p, inverse_h, s):
+    for a in range(fraction.shape[1]):
+        slopes(degree, fraction[p, a], inverse_h[a], s[a])
+
+
+@hot
+def add_gradient(degree, cell, fraction, nodal, rate, inverse_h, shape, layout, out):
+    """out[:, a] += rate D^a nodal, for one column."""
+    w, s, count = _scratch()
+    dim = fraction.shape[1]
+    total = np.empty(dim)
+    for p in range(cell.size):
+        first = _find(degree, cell, fraction, p, shape, layout, w, count)
+        _find_slopes(degree, fraction, p, inverse_h, s)
+        total[:] = 0.0
+        for k in range(count[2]):
+            for j in range(count[1]):
+                row = first + j * layout[1] + k * layout[2]
+                for i in range(count[0]):
+                    value = nodal[U(row + i)]
+                    for a in range(dim):
+                        total[a] += _along(a, w, s, i, j, k) * value
+        for a in range(dim):
+            out[p, a] += rate * total[a]
+
+
+@hot
+def add_divergence(degree, cell, fraction, nodal, rate, inverse_h, shape, layout, out):
+    """out += rate Σ_a D^a nodal[:, a]."""
+    w, s, count = _scratch()
+    dim = fraction.shape[1]
+    for p in range(cell.size):
+        first = _find(degree, cell, fraction, p, shape, layout, w, count)
+        _find_slopes(degree, fraction, p, inverse_h, s)
+        total = 0.0
+        for k in range(count[2]):
+            for j in range(count[1]):
+                row = first + j * layout[1] + k * layout[2]
+                for i in range(count[0]):
+                    for a in range(dim):
+                        total += _along(a, w, s, i, j, k) * nodal[U(row + i), U(a)]
+        out[p] += rate * total
+
+
+@hot
+def add_gradient_sums(degree, cell, fraction, values, inverse_h, shape, layout, out):
+    """out[:, a] += (D^a)ᵀ values, for one column of particle values."""
+    w, s, count = _scratch()
+    dim = fraction.shape[1]
+    for p in range(cell.size):
+        first = _find(degree, cell, fraction, p, shape, layout, w, count)
+        _find_slopes(degree, fraction, p, inverse_h, s)
+        for k in range(count[2]):
+            for j in range(count[1]):
+                row = first + j * layout[1] + k * layout[2]
+                for i in range(count[0]):
+                    for a in range(dim):
+                        out[U(row + i), U(a)] += _along(a, w, s, i, j, k) * values[p]
+
+
+@hot
+def add_divergence_sums(degree, cell, fraction, values, inverse_h, shape, layout, out):
+    """out += Σ_a (D^a)ᵀ values[:, a]."""
+    w, s, count = _scratch()
+    dim = fraction.shape[1]
+    for p in range(cell.size):
+        first = _find(degree, cell, fraction, p, shape, layout, w, count)
+        _find_slopes(degree, fraction, p, inverse_h, s)
+        for k in range(count[2]):
+            for j in range(count[1]):
+                row = first + j * layout[1] + k * layout[2]
+                for i in range(count[0]):
+                    total = 0.0
+                    for a in range(dim):
+                        total += _along(a, w, s, i, j, k) * values[p, a]
+                    out[U(row + i)] += total
+
+
+@hot
+def add_gram_entries(degree, cell, fraction, weight, offsets, shape, layout, entries):
+    """entries[h, n] += Σ_p V_p φ_n φ_{n + offsets[h]}: half of G's diagonals, offsets (h, 3) as in `stencil`."""
+    w, _, count = _scratch()
+    for p in range(cell.size):
+        first = _find(degree, cell, fraction, p, shape, layout, w, count)
+        for h in range(offsets.shape[0]):
+            dx, dy, dz = offsets[h, 0], offsets[h, 1], offsets[h, 2]
+            for k in range(max(0, -dz), min(count[2], count[2] - dz)):
+                wz = weight[p] * w[2, k] * w[2, k + dz]
+                for j in range(max(0, -dy), min(count[1], count[1] - dy)):
+                    row, wyz = first + j * layout[1] + k * layout[2], wz * w[1, j] * w[1, j + dy]
+                    for i in range(max(0, -dx), min(count[0], count[0] - dx)):
+                        entries[h, U(row + i)] += wyz * w[0, i] * w[0, i + dx]
+
+
+@hot
+def shape_functions(degree, cell, fraction, shape, layout, node, value):
+    """The nodes that each particle touches and its weights there, (n, (degree + 1)^d)."""
+    w, _, count = _scratch()
+    for p in range(cell.size):
+        first, c = _find(degree, cell, fraction, p, shape, layout, w, count), 0
+        for k in range(count[2]):
+            for j in range(count[1]):
+                for i in range(count[0]):
+                    node[p, c] = first + i + j * layout[1] + k * layout[2]
+                    value[p, c] = w[0, i] * w[1, j] * w[2, k]
+                    c += 1
