@@ -14,7 +14,8 @@ from typing import Any
 from mpipic import filters
 from mpipic.filters import NodalFilter
 from mpipic.grid import FloatArray
-from mpipic.mapping import Mapping, Sweep
+from mpipic.mapping import Mapping
+from mpipic.sweep import Sweep
 
 
 @dataclass(frozen=True)

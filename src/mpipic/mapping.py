@@ -1,18 +1,16 @@
 """Mapping between particles and nodes.
 
 Symbols as in the method: Φ interpolates nodes to particles, D^a differentiates, d = Φᵀ1 are the row sums, and
-S = diag(d)⁻¹ Φᵀ is the paper's mapping matrix. Both classes here answer the same questions at the particles' present
-positions: `Mapping` particle by particle, for any values (the library's door); `Sweep` for the particles that a run
-advances, cell by cell from pair moments and in one pass over the particles a step.
+S = diag(d)⁻¹ Φᵀ is the paper's mapping matrix. `Mapping` applies them to any particle values, and is the library's
+door; the particles that a run advances are mapped by `mpipic.sweep`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
-from mpipic import migration
 from mpipic.grid import FloatArray, Grid, columns_of, raise_together
 from mpipic.kernels import BY_DIMENSION, generic, spline, stencil
 from mpipic.particles import IntArray, Particles, locate
@@ -250,194 +248,6 @@ class Mapping(NodalMapping):
         return out
 
 
-class Sweep(NodalMapping):
-    """The particles of a run, mapped: kept with them as they move, one pass over memory a step.
-
-    Holds at the present positions the sums Φᵀ of all state columns, the row sums d, and the pair moments of every
-    cell, from which `gram`, `gradient_sums` and `divergence_sums` follow without touching particles. `advance` ends
-    one position and begins the next.
-
-    Parameters
-    ----------
-    grid
-    particles
-        State columns: one scalar, then a vector of d components. Must be in this rank's cells; sorted by cell here.
-    displacement : d floats, unit of length
-        What every particle moves by in `advance`; all zero: mapped once and for all.
-
-    Attributes
-    ----------
-    sums : (local_nodes, d + 2)
-        Φᵀ(scalar), Φᵀ(vector), d; right on own and ghost nodes.
-    weights : (local_nodes,)
-        The row sums d, by themselves.
-    peak : float
-        Largest |scalar| of this rank's particles when last touched, NaN if any is.
-
-    Notes
-    -----
-    Building and `advance` are collective on neighbours; the other verbs are local on nodal arrays whose ghosts are
-    filled, and leave sums whose ghosts are not: end them with `complete`. `advance` costs O(particles), the others
-    O(cells).
-    Memory per rank: nodal arrays, 3^d numbers a cell.
-    """
-
-    def __init__(
-        self,
-        grid: Grid,
-        particles: Particles,
-        displacement: Sequence[float],
-        phase: Callable[[str], None] = lambda name: None,
-    ) -> None:
-        self.grid, self.particles = grid, particles
-        self.phase = phase
-        self._kernels = BY_DIMENSION[grid.dim]
-        shift = tuple(grid.rounded(np.fmod(np.asarray(displacement) / np.array(grid.h), grid.cells)).tolist())
-        self.moving = any(shift)
-        period = tuple(map(float, grid.cells))
-        self._geometry = (grid.inverse_h, grid.tolerance, period, shift, grid.owned_start)
-        self._cells = (grid.padded_shape, grid.layout)
-        self.routes = migration.Routes(grid, shift) if migration.can_leave(grid, shift) else None
-        self.sums = grid.zeros(grid.dim + 2)
-        self.weights = self.sums[:, -1]
-        self.inverse_weights = np.empty(grid.local_nodes)
-        self._moments = np.empty((grid.local_cells, 3**grid.dim))
-        self.version = 0
-        self._leaving = np.empty(max(1024, particles.count // 16), dtype=np.int64)
-        self.peak = 0.0
-        self.migrated = 0
-        self.sorts = 0
-        self._sort()
-        self._clear(weigh=True)
-        self._deposit(0, particles.count, weigh=True)
-        self._finish_sums(weigh=True)
-
-    # ------------------------------------------------------------ on nodes
-
-    @property
-    def moments(self) -> FloatArray:
-        """Pair moments of own cells, (local_cells, 3^d)."""
-        return self._moments
-
-    @property
-    def state_sums(self) -> tuple[FloatArray, FloatArray]:
-        """Views of `sums`: Φᵀ(scalar) (local_nodes, 1) and Φᵀ(vector) (local_nodes, d)."""
-        return self.sums[:, :1], self.sums[:, 1:-1]
-
-    def divide_changed(self, sums: FloatArray, rate: float, change: FloatArray, out: FloatArray) -> FloatArray:
-        """diag(d)⁻¹ (sums + rate change), one column. Local."""
-        generic.scale_changed(sums, rate, change, self.inverse_weights, out)
-        return out
-
-    def gradient_sums(self, nodal: FloatArray, out: FloatArray) -> FloatArray:
-        """out += ΦᵀD^a nodal: one column to d; complete it afterwards. Local."""
-        self._kernels.cross(self._moments, *self._cells, self.grid.inverse_h, nodal, out, False)
-        return out
-
-    def divergence_sums(self, nodal: FloatArray, out: FloatArray) -> FloatArray:
-        """out += Σ_a ΦᵀD^a nodal_a: d columns to one; complete it afterwards. Local."""
-        self._kernels.cross(self._moments, *self._cells, self.grid.inverse_h, nodal, out, True)
-        return out
-
-    def close(self) -> None:
-        """Give the communicator of the routes back to MPI; no `advance` after this. Collective."""
-        if self.routes is not None:
-            self.routes.free()
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of the nodal sums, the pair moments and the list of leavers."""
-        return sum(a.nbytes for a in (self.sums, self.inverse_weights, self._moments, self._leaving))
-
-    # ------------------------------------------------------------ on particles
-
-    def advance(self, nodal: FloatArray, rates: tuple[float, float], direct: bool = False) -> None:
-        """Add to every particle an increment from its nodes, move it, migrate it, and map the new state.
-
-        Parameters
-        ----------
-        nodal : (local_nodes, 1 + d), ghosts filled
-        rates : factors of the scalar's and of the vector's increment
-            The scalar gets rates[0] Φ nodal[:, 0], the vector rates[1] Φ nodal[:, 1:]; or, if `direct`, the scalar
-            rates[0] Σ_a D^a nodal[:, a], the vector rates[1] D nodal[:, 0].
-
-        Notes
-        -----
-        Collective on neighbours: one message for the halo each way, and with several ranks a count and a block of
-        particles to at most 2^d ranks.
-        """
-        particles, weigh = self.particles, self.moving
-        self.phase("particles")
-        self._clear(weigh)
-        self.peak, breaks, left = self._kernels.advance(
-            particles.axes, particles.state, nodal, rates, self.sums, self._moments, 0, particles.count,
-            self._geometry, *self._cells, direct, weigh, self.routes is not None, self._leaving,
-        )  # fmt: skip
-        if self.routes is not None:
-            self.phase("migrate")
-            arrived = migration.migrate(particles, self.routes, self._leavers(left))
-            self.migrated += arrived
-            self.phase("particles")
-            self._deposit(particles.count - arrived, particles.count, weigh)
-        self._finish_sums(weigh)
-        if weigh:
-            self.version += 1
-            self._sort_when_due(breaks)
-        self.phase("other")
-
-    def _leavers(self, left: int) -> IntArray:
-        if left <= len(self._leaving):
-            return self._leaving[:left].copy()
-        self._leaving = np.empty(left + left // 4, dtype=np.int64)
-        return np.flatnonzero(self.grid.owner_of(self.particles.coordinate) != self.grid.rank)
-
-    def _clear(self, weigh: bool) -> None:
-        if weigh:
-            self.sums.fill(0.0)
-            self._moments.fill(0.0)
-        else:
-            self.sums[:, :-1] = 0.0
-
-    def _deposit(self, start: int, stop: int, weigh: bool) -> None:
-        particles = self.particles
-        peak = self._kernels.deposit(
-            particles.axes, particles.state, self.sums, self._moments,
-            start, stop, self._geometry, *self._cells, weigh,
-        )  # fmt: skip
-        self.peak = float(np.maximum(self.peak, peak))
-
-    def _finish_sums(self, weigh: bool) -> None:
-        if weigh and self.grid.dim == 3:
-            self._kernels.row_sums(self._moments, *self._cells, self.sums, self.sums.shape[1] - 1)
-        if weigh:
-            self.complete(self.sums)
-            generic.invert(self.weights, self.inverse_weights)
-        else:
-            # the row sums are complete already, on ghosts too: summing the halo again would count them twice
-            state = np.ascontiguousarray(self.sums[:, :-1])
-            self.sums[:, :-1] = self.complete(state)
-
-    # ------------------------------------------------------------ order in memory
-
-    def _sort(self) -> None:
-        self.phase("sort")
-        self.particles.sort_by_cell(self.grid)
-        self.sorts += 1
-        self._excess, self._fewest_breaks = 0, -1
-
-    def _sort_when_due(self, breaks: int) -> None:
-        """Sort once disorder has cost as much as sorting does.
-
-        Disorder is counted in breaks, particles in another cell than their predecessor: each costs about a tenth of
-        what sorting costs a particle. A count, not a clock, decides, so that runs repeat to the bit.
-        """
-        if self._fewest_breaks < 0:
-            self._fewest_breaks = breaks
-        self._excess += max(0, breaks - self._fewest_breaks)
-        if self._excess > 12 * self.particles.count:
-            self._sort()
-
-
 def _checked(weight: FloatArray | None, count: int) -> FloatArray | None:
     """The weights as (count,), or ValueError that names the first that is not a finite number above 0."""
     if weight is None:
@@ -449,3 +259,9 @@ def _checked(weight: FloatArray | None, count: int) -> FloatArray | None:
     if wrong.size:
         raise ValueError(f"weight {wrong[0]} must be a finite number above 0, not {weight[wrong[0]]}")
     return weight
+
+
+def __getattr__(name: str):  # type: ignore[no-untyped-def]
+    from mpipic import sweep
+
+    return getattr(sweep, name)

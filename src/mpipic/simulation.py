@@ -15,11 +15,11 @@ from mpipic import exact
 from mpipic.diagnostics import ErrorReport, Exact, measure, null_space_fraction
 from mpipic.formulation import Euler, Rates, symplectic
 from mpipic.grid import FloatArray, Grid
-from mpipic.mapping import Sweep
 from mpipic.migration import LostParticles, Routes
 from mpipic.particles import LAYOUTS, IntArray, Particles, share
 from mpipic.phases import Phases
 from mpipic.scene import Problem, Scene, SceneError
+from mpipic.sweep import Sweep
 
 MONITORED = 400
 """At how many steps of a run, evenly spread, the largest density is recorded."""

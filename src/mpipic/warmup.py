@@ -7,9 +7,9 @@ from mpi4py import MPI
 
 from mpipic.formulation import Rates, symplectic
 from mpipic.grid import Grid
-from mpipic.mapping import Sweep
 from mpipic.particles import Particles
 from mpipic.scene import Scene
+from mpipic.sweep import Sweep
 
 
 def compile_loops(scene: Scene) -> None:

@@ -30,7 +30,7 @@ def _place_next(x, tolerance, first, node_stride, cell_stride, node, cell, fract
 
 
 @exactly
-def _mark_outside(x, tolerance, first, size, outside):
+def mark_outside(x, tolerance, first, size, outside):
     """Set `outside` where the cell along this axis is not one of `size` from `first`."""
     for p in range(x.size):
         c = np.int32(x[p] + tolerance) - first
@@ -38,7 +38,7 @@ def _mark_outside(x, tolerance, first, size, outside):
 
 
 @exactly
-def _move(x, shift, period, tolerance):
+def move(x, shift, period, tolerance):
     """Move by less than one period and wrap into [-tolerance, period - tolerance): what is on node 0 is in cell 0."""
     for p in range(x.size):
         t = x[p] + shift
@@ -54,7 +54,7 @@ def find(axes, p0, count, geometry, shape, layout, node, cell, fraction, moving)
         x = axes[a, p0 : p0 + count]
         tolerance, first = geometry[1][a], np.int32(geometry[4][a])
         if moving:
-            _move(x, geometry[3][a], geometry[2][a], tolerance)
+            move(x, geometry[3][a], geometry[2][a], tolerance)
         if a == 0:
             _place_first(x, tolerance, first, np.int32(layout[0]), node, cell, fraction[a])
         else:
@@ -68,7 +68,7 @@ def find_leavers(axes, p0, count, geometry, shape, outside, leaving, left):
     outside[:count] = 0
     for a in range(axes.shape[0]):
         x = axes[a, p0 : p0 + count]
-        _mark_outside(x, geometry[1][a], np.int32(geometry[4][a]), np.int32(shape[a]), outside)
+        mark_outside(x, geometry[1][a], np.int32(geometry[4][a]), np.int32(shape[a]), outside)
     for p in range(count):
         if outside[p]:
             if left < leaving.size:
