@@ -6,13 +6,15 @@ Exit codes: 0 done, 2 bad input, 3 unstable, 4 a solver did not converge, 130 in
 from __future__ import annotations
 
 import os
+import shlex
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mpipic.runtime import launched_rank, start
+from mpipic.runtime import ANNOUNCED, launched_rank, start
 
 if TYPE_CHECKING:
     from mpipic.scene import Scene
@@ -187,6 +189,40 @@ def filters(
         comparison.run(loaded, choices, comm, Console(comm), output)
     except SceneError as error:
         raise _refuse(str(error), comm) from None
+
+
+@app.command()
+def study(
+    file: Annotated[Path, typer.Argument(metavar="STUDY", help="Study file (TOML), such as configs/studies/*.toml.")],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Folder of the results; default runs/<study name>.")
+    ] = None,
+    aims: Annotated[
+        list[str] | None,
+        typer.Option("--recommend", metavar="AIM", help="error=1e-4: the cheapest setting; seconds=10: the best one."),
+    ] = None,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Run everything again, whatever was run before.")] = False,
+    retry: Annotated[
+        bool, typer.Option("--retry", help="Run again what crashed, was refused or ran out of time.")
+    ] = False,
+) -> None:
+    """Sweep settings of a scene: error against run time in a table, a picture and a page. Goes on where it stopped."""
+    ranks = next((int(os.environ[name]) for name in ANNOUNCED if os.environ.get(name, "").isdigit()), 1)
+    here = SimpleNamespace(rank=launched_rank(), size=ranks)
+    if ranks > 1:
+        raise _refuse("a study runs on one process and starts the ranks of its points itself: leave out mpiexec", here)
+    from mpipic import study as verb
+    from mpipic.console import Console
+    from mpipic.output import OutputError
+    from mpipic.scene import SceneError
+
+    words = ["mpipic", "study", str(file), *(["--output", str(output)] if output else [])]
+    words += [word for aim in aims or () for word in ("--recommend", aim)]
+    try:
+        code = verb.run(file, output, aims or (), fresh, retry, shlex.join(words), Console(here))
+    except (SceneError, OutputError) as error:
+        raise _refuse(str(error), here) from None
+    raise typer.Exit(code)
 
 
 @app.command()

@@ -423,8 +423,13 @@ class GramSolver:
         with self._x as x:
             if earlier is not None:
                 earlier.extrapolate(matrix.root, 1.0 / size, x)
-        self._ksp.setInitialGuessNonzero(earlier is not None and earlier.count > 0)
+        guessed = earlier is not None and earlier.count > 0
+        self._ksp.setInitialGuessNonzero(guessed)
         self._ksp.solve(self._b, self._x)
+        if guessed and self._ksp.getConvergedReason() < 0:
+            # a guess far off, on a matrix near singular, leaves rounding of its own size behind
+            self._ksp.setInitialGuessNonzero(False)
+            self._ksp.solve(self._b, self._x)
         self._check()
         answer = self._x.getArray(readonly=True) * matrix.scale
         answer *= size

@@ -75,6 +75,10 @@ class Choice:
     settings: Values
 
 
+NOTHING = (Choice("", {}),)
+"""Stands for the choices of an axis that cannot be used, so that the points can be checked without it."""
+
+
 @dataclass(frozen=True)
 class Axis:
     """What is swept together under one name: a scene key, ranks, or a name of its own."""
@@ -122,10 +126,9 @@ class Point:
         """Scheme and resolution."""
         return ", ".join(filter(None, (self.scheme, self.resolution))) or "the only point"
 
-    @property
-    def line(self) -> str:
-        """Equal for the points that differ only in grid.cells, of one dimension."""
-        rest = {name: value for name, value in self.values.items() if name != "grid.cells"}
+    def apart_from(self, axis: str) -> str:
+        """Equal for points of one dimension that differ only in the value of this axis."""
+        rest = {name: value for name, value in self.values.items() if name != axis}
         return json.dumps([self.scene.dim, rest], sort_keys=True, default=str)
 
 
@@ -160,6 +163,9 @@ def load(path: Path) -> Study:
     scene_data = _base_scene(settings.scene, path.parent, problems)
     base = _flat("base", data.get("base", {}), problems)
     axes = _axes(data, problems)
+    for table in (base, *(choice.settings for axis in axes for choice in axis.choices)):
+        if isinstance(place := table.get("particles.path"), str) and place:
+            table["particles.path"] = str((path.parent / place).absolute())
     points: list[Point] = []
     if scene_data is not None and math.prod(len(axis.choices) for axis in axes) <= MOST_POINTS:
         points = _points(scene_data, base, axes, settings.until, problems)
@@ -232,7 +238,9 @@ def _base_scene(name: str, folder: Path, problems: list[Problem]) -> dict[str, A
         Scene.load(path)
         data = parse_toml(_read(path), str(path))
     except SceneError as error:
-        problems.extend(replace(p, key=p.key if str(path) in p.key else f"scene {name}: {p.key}") for p in error.problems)
+        problems.extend(
+            replace(p, key=p.key if str(path) in p.key else f"scene {name}: {p.key}") for p in error.problems
+        )
         return None
     particles = data.get("particles", {})
     if particles.get("path"):
@@ -293,25 +301,27 @@ def _key_axis(key: str, values: object, problems: list[Problem]) -> Axis:
     where = f"axes: {escape(key)}"
     rule = _reserved(key)
     if rule is None and not (isinstance(values, list) and values):
-        rule = "must be a list of at least one value, for example filter.kind = [\"local\"] or grid.cells = [[32], [64]]"
+        rule = 'must be a list of at least one value, for example filter.kind = ["local"] or grid.cells = [[32], [64]]'
     elif rule is None and len({repr(value) for value in values}) < len(values):
         rule = "must not hold a value twice"
     if rule:
         problems.append(Problem(where, values, rule))
-        return Axis(key, ())
+        return Axis(key, NOTHING)
     return Axis(key, tuple(Choice(value, {key: value}) for value in values))
 
 
 def _named_axis(name: str, tables: object, problems: list[Problem]) -> Axis:
     where = "[[scheme]]" if name == SCHEME else f"axes: {escape(name)}"
     if not (isinstance(tables, list) and tables and all(isinstance(table, Mapping) for table in tables)):
-        rule = 'must be a scene key, ranks, or a list of tables with a name, such as { name = "fine", grid.cells = [64] }'
-        problems.append(Problem(where, tables, rule, (), None))
-        return Axis(name, ())
+        rule = (
+            'must be a scene key, ranks, or a list of tables with a name, such as { name = "fine", grid.cells = [64] }'
+        )
+        problems.append(Problem(where, tables, rule))
+        return Axis(name, NOTHING)
     names = [table.get("name") for table in tables]
     if not all(isinstance(own, str) and own for own in names) or len(set(names)) < len(names):
         problems.append(Problem(where, names, "every one needs a name, text that no other one has"))
-        return Axis(name, ())
+        return Axis(name, NOTHING)
     found = []
     for table in tables:
         settings = {key: value for key, value in table.items() if key != "name"}

@@ -1,0 +1,55 @@
+"""What many (cost, error) pairs say: which of them nothing beats, how fast error falls with h, what to choose."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+
+def front(pairs: Sequence[tuple[float, float]]) -> list[int]:
+    """Indices of the pairs (cost, error) that no other pair beats in one without losing in the other, by rising cost.
+
+    Of equal pairs the first counts. O(n log n).
+    """
+    best, found = math.inf, []
+    for index in sorted(range(len(pairs)), key=lambda i: (*pairs[i], i)):
+        if pairs[index][1] < best:
+            best = pairs[index][1]
+            found.append(index)
+    return found
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A least squares line through (ln h, ln error): error = coefficient h^order.
+
+    `residual` is the root mean square of ln error about the line: 0.1 is about 10 % of the error.
+    """
+
+    order: float
+    coefficient: float
+    residual: float
+    count: int
+
+
+def fit_order(h: Sequence[float], errors: Sequence[float]) -> Fit:
+    """Fit the order of convergence to at least two errors above 0 at different h."""
+    x, y = [math.log(value) for value in h], [math.log(value) for value in errors]
+    mean_x, mean_y = math.fsum(x) / len(x), math.fsum(y) / len(y)
+    spread = math.fsum((a - mean_x) ** 2 for a in x)
+    order = math.fsum((a - mean_x) * (b - mean_y) for a, b in zip(x, y, strict=True)) / spread
+    rest = [b - mean_y - order * (a - mean_x) for a, b in zip(x, y, strict=True)]
+    residual = math.sqrt(math.fsum(value * value for value in rest) / len(rest))
+    return Fit(order, math.exp(mean_y - order * mean_x), residual, len(x))
+
+
+def cheapest(pairs: Sequence[tuple[float, float]], error: float) -> int | None:
+    """Index of the pair (cost, error) of least cost whose error is at most `error`; None if there is none."""
+    return min((i for i, pair in enumerate(pairs) if pair[1] <= error), key=lambda i: pairs[i], default=None)
+
+
+def most_accurate(pairs: Sequence[tuple[float, float]], cost: float) -> int | None:
+    """Index of the pair (cost, error) of least error whose cost is at most `cost`; None if there is none."""
+    affordable = (i for i, pair in enumerate(pairs) if pair[0] <= cost)
+    return min(affordable, key=lambda i: pairs[i][::-1], default=None)
