@@ -80,7 +80,7 @@ class Comparison:
 
     def __init__(self, scene: Scene, comm: MPI.Comm) -> None:
         self.scene, self.comm = scene, comm
-        self.grid = Grid(scene.grid.cells, scene.grid.length, comm)
+        self.grid = Grid(scene.grid.cells, scene.grid.length, comm, scene.mapping.basis)
         self.particles = populate(scene, self.grid, solution_of(scene))
         self.total = int(comm.allreduce(self.particles.count))
         self.mapping = Mapping.at(self.grid, self.particles)

@@ -12,10 +12,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from mpipic import filters
-from mpipic.filters import NodalFilter
+from mpipic.filters import Filter, NodalFilter
 from mpipic.grid import FloatArray
 from mpipic.mapping import Mapping
-from mpipic.sweep import Sweep
+from mpipic.particles import Particles
+from mpipic.sweep import ParticleSweep
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ class SymplecticEuler:
     `step` is collective on neighbours: four pairs of halo exchanges, and migration.
     """
 
-    def __init__(self, sweep: Sweep, rates: Rates, filter_: NodalFilter) -> None:
+    def __init__(self, sweep: ParticleSweep, rates: Rates, filter_: NodalFilter) -> None:
         self.sweep, self.rates, self.filter = sweep, rates, filter_
         self.nodal = sweep.grid.zeros(1 + sweep.grid.dim)
         self._scalar, self._vector = sweep.grid.zeros(1), sweep.grid.zeros(sweep.grid.dim)
@@ -103,7 +104,7 @@ class UnfilteredEuler:
     `step` is collective on neighbours: two pairs of halo exchanges, and migration.
     """
 
-    def __init__(self, sweep: Sweep, rates: Rates) -> None:
+    def __init__(self, sweep: ParticleSweep, rates: Rates) -> None:
         self.sweep, self.rates = sweep, rates
         self.nodal = sweep.grid.zeros(1 + sweep.grid.dim)
         self._scalar = sweep.grid.zeros(1)
@@ -134,32 +135,52 @@ class ReferenceEuler:
     `step` is collective; it maps the particles anew and passes over them nine times.
     """
 
-    def __init__(self, sweep: Sweep, rates: Rates, filter_: filters.Filter) -> None:
+    def __init__(self, sweep: ParticleSweep, rates: Rates, filter_: Filter) -> None:
+        self._carrier = OnParticles(sweep, filter_)
+        self._plain = ParticleEuler(self._carrier.mapping, rates, filter_)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the mapping, of what the filter keeps, and of the nodal work array."""
+        return self._carrier.nbytes
+
+    def step(self) -> None:
+        """One time step; u is used at t, ρ at t + dt."""
+        particles = self._carrier.begin()
+        self._plain.step(particles.field("density"), particles.field("velocity"))
+        self._carrier.end()
+
+
+class OnParticles:
+    """A sweep's particles with a `Mapping` that follows them, for steps that work on particle values themselves."""
+
+    def __init__(self, sweep: ParticleSweep, filter_: Filter) -> None:
         self.sweep, self.filter = sweep, filter_
-        self._mapping = Mapping.at(sweep.grid, sweep.particles)
-        filter_.mapping = self._mapping
-        self._plain = ParticleEuler(self._mapping, rates, filter_)
+        self.mapping = Mapping.at(sweep.grid, sweep.particles)
+        filter_.mapping = self.mapping
         self._nothing = sweep.grid.zeros(1 + sweep.grid.dim)
 
     @property
     def nbytes(self) -> int:
         """Bytes of the mapping, of what the filter keeps, and of the nodal work array."""
-        return self._mapping.nbytes + self.filter.nbytes + self._nothing.nbytes
+        return self.mapping.nbytes + self.filter.nbytes + self._nothing.nbytes
 
-    def step(self) -> None:
-        """One time step; u is used at t, ρ at t + dt."""
-        particles = self.sweep.particles
+    def begin(self) -> Particles:
+        """The particles, mapped where they are. Collective."""
         self.sweep.phase("particles")
         if self.sweep.moving:
-            self._mapping.follow(particles)
-        self._plain.step(particles.field("density"), particles.field("velocity"))
+            self.mapping.follow(self.sweep.particles)
+        return self.sweep.particles
+
+    def end(self) -> None:
+        """Move the particles, as they now are. Collective."""
         self.sweep.advance(self._nothing, (0.0, 0.0))
 
 
 Euler = SymplecticEuler | UnfilteredEuler | ReferenceEuler
 
 
-def symplectic(sweep: Sweep, rates: Rates, settings: Any) -> Euler:
+def symplectic(sweep: ParticleSweep, rates: Rates, settings: Any) -> Euler:
     """Formulation 2 with the filter of `settings`, a record like the scene's [filter] section. Collective."""
     if settings.kind == "none":
         return UnfilteredEuler(sweep, rates)

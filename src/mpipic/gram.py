@@ -398,7 +398,7 @@ class GramSolver:
             self._refresh()
         block = nodes.own(sums)
         right = (block * matrix.scale.reshape(block.shape)).ravel()
-        size = self._power_of_two(right)
+        size = matrix.grid.size_of(right)
         out = np.full(nodes.local_nodes, np.nan)
         if np.isfinite(size):
             earlier = self._earlier.setdefault(series, Series(right.size)) if series is not None else None
@@ -434,17 +434,6 @@ class GramSolver:
         answer = self._x.getArray(readonly=True) * matrix.scale
         answer *= size
         return np.asarray(answer)
-
-    def _power_of_two(self, own: FloatArray) -> float:
-        """A size of the right-hand side on all ranks: without it, tiny or huge values under- or overflow in products.
-
-        A power of two, which rounds nothing; 1 for zeros. Collective; one reduction.
-        """
-        largest = max(float(own.max(initial=0.0)), -float(own.min(initial=0.0)))
-        # what MAX makes of a NaN differs between MPIs: infinity stands in for it
-        facts = np.array([largest if np.isfinite(largest) else np.inf])
-        largest = float(self.matrix.grid.reduce(facts, MPI.MAX)[0])
-        return largest if largest == np.inf else float(2.0 ** (np.frexp(largest)[1] - 1)) if largest else 1.0
 
     def _check(self) -> None:
         ksp = self._ksp

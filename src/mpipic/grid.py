@@ -159,6 +159,19 @@ class Grid:
         self.comm.Allreduce(MPI.IN_PLACE, numbers, op=op)
         return numbers
 
+    def size_of(self, numbers: FloatArray) -> float:
+        """A power of two near the largest of these on all ranks; 1 for zeros, infinity where one is not finite.
+
+        What is divided by it rounds nothing, and neither over- nor underflows in products. Collective; one reduction.
+        """
+        largest = max(float(numbers.max(initial=0.0)), -float(numbers.min(initial=0.0)))
+        # what MAX makes of a NaN differs between MPIs: infinity stands in for it
+        facts = np.array([largest if math.isfinite(largest) else math.inf])
+        largest = float(self.reduce(facts, MPI.MAX)[0])
+        if largest == math.inf:
+            return largest
+        return math.ldexp(1.0, math.frexp(largest)[1] - 1) if largest else 1.0
+
     def cell_of(self, coordinate: FloatArray) -> npt.NDArray[np.int64]:
         """Global cell (n, d) of coordinates (n, d), by the arithmetic of the compiled loops. Local."""
         return np.asarray((coordinate + np.array(self.tolerance)).astype(np.int64))

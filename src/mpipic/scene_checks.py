@@ -28,15 +28,15 @@ CHOICES: dict[str, dict[str, bool]] = {
         "standing-wave": True,
         "file": True,
     },
-    "mapping.basis": {"linear": True, "quadratic": False, "cubic": False},
-    "mapping.mass": {"lumped": True, "consistent": False, "penalised": False},
-    "mapping.gradient": {"direct": True, "grid": False, "skew": False},
+    "mapping.basis": {"linear": True, "quadratic": True, "cubic": True},
+    "mapping.mass": {"lumped": True, "consistent": True, "penalised": True},
+    "mapping.gradient": {"direct": True, "grid": True, "skew": True},
     "filter.kind": {"none": True, "local": True, "order": True, "chebyshev": True, "exact": True, "svd": True},
-    "time.integrator": {"symplectic": True, "rk4": False, "midpoint": False},
+    "time.integrator": {"symplectic": True, "rk4": True, "midpoint": True},
 }
 
 # Keys that can only have one value until what they control is available.
-FIXED_FOR_NOW: dict[str, int] = {"damping.order": 0, "output.checkpoint_every": 0}
+FIXED_FOR_NOW: dict[str, int] = {"output.checkpoint_every": 0}
 
 ABOVE_ZERO = "above 0"
 

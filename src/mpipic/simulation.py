@@ -12,14 +12,13 @@ import numpy as np
 from mpi4py import MPI
 
 from mpipic import exact
+from mpipic.assembly import build_step, build_sweep
 from mpipic.diagnostics import ErrorReport, Exact, measure, null_space_fraction
-from mpipic.formulation import Euler, Rates, symplectic
 from mpipic.grid import FloatArray, Grid
 from mpipic.migration import LostParticles, Routes
 from mpipic.particles import LAYOUTS, IntArray, Particles, share
 from mpipic.phases import Phases
 from mpipic.scene import Problem, Scene, SceneError
-from mpipic.sweep import Sweep
 
 MONITORED = 400
 """At how many steps of a run, evenly spread, the largest density is recorded."""
@@ -160,12 +159,12 @@ class Simulation:
         self.phases("setup")
         scene.check_ranks(comm.size)
         self.exact = solution_of(scene)
-        self.grid = Grid(scene.grid.cells, scene.grid.length, comm)
+        self.grid = Grid(scene.grid.cells, scene.grid.length, comm, scene.mapping.basis)
         self.particles = populate(scene, self.grid, self.exact)
         self.total = comm.allreduce(self.particles.count)
-        flow = [v * scene.dt for v in scene.gas.flow]
-        self.sweep = Sweep(self.grid, self.particles, flow, self.phases)
-        self.formulation = self._formulate()
+        self.sweep = build_sweep(scene, self.grid, self.particles, self.phases)
+        check_filter(scene, self.total, comm)
+        self.formulation = build_step(scene, self.sweep)
         self.step = 0
         self.phases("setup")
         self.limit = scene.time.blow_up * self._initial_size()
@@ -189,12 +188,6 @@ class Simulation:
         """Means S ρ_p and S u_p at own nodes, arrays (x, y, z) or (x, y, z, d): what the grid sees. Local."""
         density, velocity = (self.sweep.divide(sums) for sums in self.sweep.state_sums)
         return {"density": self.grid.owned(density[:, 0]), "velocity": self.grid.owned(velocity)}
-
-    def _formulate(self) -> Euler:
-        gas = self.scene.gas
-        rates = Rates(self.scene.dt * gas.density, self.scene.dt * gas.sound_speed**2 / gas.density)
-        check_filter(self.scene, self.total, self.comm)
-        return symplectic(self.sweep, rates, self.scene.filter)
 
     def _initial_size(self) -> float:
         """Largest |density|; where density starts at zero, the density that the velocity will turn into."""

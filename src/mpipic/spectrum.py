@@ -72,7 +72,7 @@ def directions(cells: Sequence[int]) -> list[tuple[str, tuple[int, ...], list[in
 
 def measure(scene: Scene, choices: Sequence[Choice], comm: MPI.Comm, phase: float = PHASE) -> list[Kept]:
     """Every point of the spectra at the scene's initial positions; `phase` in radians. Collective."""
-    grid = Grid(scene.grid.cells, scene.grid.length, comm)
+    grid = Grid(scene.grid.cells, scene.grid.length, comm, scene.mapping.basis)
     particles = populate(scene, grid, solution_of(scene))
     total = int(comm.allreduce(particles.count))
     mapping = Mapping.at(grid, particles)

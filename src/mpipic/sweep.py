@@ -352,9 +352,16 @@ class SplineSweep(ParticleSweep):
             self._leaving[:left] = gone
         return int(np.count_nonzero(np.diff(self._cell))), left
 
+    def _sort(self) -> None:
+        super()._sort()
+        self._locate()
+
+    def _locate(self) -> None:
+        self._cell, self._fraction = locate(self.grid, np.ascontiguousarray(self.particles.coordinate))
+
     def _deposit(self, start: int, stop: int, weigh: bool) -> None:
         particles = self.particles
-        self._cell, self._fraction = locate(self.grid, np.ascontiguousarray(particles.coordinate))
+        self._locate()
         rows = np.ones((particles.count, self.grid.dim + 2))
         rows[:, :-1] = particles.state
         sums = self.sums if weigh else np.zeros(self.sums.shape)

@@ -184,3 +184,18 @@ def _combine(values, weights, reach, start, stride, count, out):
         w = weights[s]
         for i in range(row.size):
             row[i] += w * (up[i] + down[i])
+
+
+@hot
+def difference(values, weights, stride, shape, layout, out):
+    """out[n] = Σ_s weights[s] (values[n + s stride] - values[n - s stride]), s = 1, ...; values padded, out compact."""
+    for k in range(shape[2]):
+        for j in range(shape[1]):
+            n, first = layout[0] + j * layout[1] + k * layout[2], (k * shape[1] + j) * shape[0]
+            row = out[first : first + shape[0]]
+            row[:] = 0.0
+            for s in range(1, weights.size):
+                up, down = n + s * stride, n - s * stride
+                after, before, w = values[up : up + shape[0]], values[down : down + shape[0]], weights[s]
+                for i in range(row.size):
+                    row[i] += w * (after[i] - before[i])
