@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from mpipic.basis import DEGREES
 from mpipic.decomposition import process_grid
 from mpipic.scene import Scene
 
@@ -17,14 +18,16 @@ def particle_bytes(dim: int) -> int:
 
 def node_bytes(scene: Scene) -> int:
     """Resident bytes per node: sums, row sums and their inverses, pair moments, and the work arrays of the step."""
-    dim = scene.dim
+    dim, degree = scene.dim, DEGREES[scene.mapping.basis]
     filtered = scene.filter.kind != "none"
     work = (1 + dim) + 1 + (dim if filtered else 0)
+    moments = 3**dim if degree == 1 else 0
     solver = 0
-    if scene.filter.kind == "exact":
+    if scene.filter.kind == "exact" or scene.mapping.mass != "lumped":
         # the stencil's entries, its vectors and PETSc's, and two earlier answers to each of 1 + d solves
-        solver = (3**dim + 1) // 2 + 10 + 2 * (1 + dim)
-    return 8 * ((dim + 2) + 1 + 3**dim + work + solver)
+        solver = ((2 * degree + 1) ** dim + 1) // 2 + 10 + 2 * (1 + dim)
+    stages = 4 * 2 * (1 + dim) if scene.time.integrator == "rk4" else 0
+    return 8 * ((dim + 2) + 1 + moments + work + solver + stages)
 
 
 def rank_bytes(scene: Scene, ranks: int, particles: int) -> float:
@@ -36,19 +39,20 @@ def parts(scene: Scene) -> tuple[list[tuple[str, str]], list[str]]:
     """What the scene builds, (part, description), and what it leaves out."""
     moving = any(scene.gas.flow)
     filtered = scene.filter.kind != "none"
-    passes = "nine passes" if scene.filter.kind == "svd" else "one pass"
-    step = f"Formulation 2 (symplectic Euler), {passes} over the particles a step"
     built = [
         ("grid", f"{scene.dim}D, {' x '.join(map(str, scene.grid.cells))} cells, periodic"),
         ("particles", _particles(scene)),
-        ("mapping", f"{scene.mapping.basis} basis, {scene.mapping.mass} mass, "
+        ("mapping", f"{scene.mapping.basis} basis, {_mass(scene)}, "
          + ("updated every step" if moving else "built once: the flow is 0")),
         ("filter", _filter(scene)),
-        ("step", step),
+        ("step", _step(scene)),
         ("initial", _initial(scene)),
     ]  # fmt: skip
     left_out = [] if scene.filter.kind == "svd" else ["SLEPc"]
-    solves = scene.filter.kind == "exact" or (scene.output.report_at and scene.initial.profile != "file")
+    least_squares = scene.mapping.mass != "lumped"
+    implicit = scene.time.integrator == "midpoint"
+    reports = scene.output.report_at and scene.initial.profile != "file"
+    solves = scene.filter.kind == "exact" or least_squares or implicit or reports
     left_out += [] if solves else ["linear solvers"]
     left_out += [] if scene.filter.kind == "svd" else ["assembled matrices"]
     left_out += [] if filtered else ["filter"]
@@ -79,8 +83,28 @@ def describe(scene: Scene, comm: Any) -> list[tuple[str, str]]:
     ]
 
 
+def _mass(scene: Scene) -> str:
+    mapping = scene.mapping
+    if mapping.mass == "penalised":
+        return f"least squares with a penalty of {mapping.penalty:g} on differences of order {mapping.penalty_order}"
+    return "least squares" if mapping.mass == "consistent" else "lumped mass"
+
+
+def _step(scene: Scene) -> str:
+    mapping, gradient = scene.mapping, {"direct": "gradient at the particles", "skew": "skew gradient"}
+    taken = gradient.get(mapping.gradient, f"central differences of order {mapping.gradient_order} on the nodes")
+    method = {"symplectic": "symplectic Euler", "rk4": "Runge-Kutta of order 4", "midpoint": "implicit midpoint rule"}
+    damping = f", damped with {scene.damping.order} second differences" if scene.damping.order else ""
+    if mapping.mass == "lumped" and mapping.gradient == "direct" and scene.time.integrator == "symplectic":
+        passes = "nine passes" if scene.filter.kind == "svd" else "one pass"
+        return f"Formulation 2 (symplectic Euler), {passes} over the particles a step"
+    return f"{method[scene.time.integrator]}, {taken}{damping}"
+
+
 def _filter(scene: Scene) -> str:
     kind = scene.filter.kind
+    if scene.mapping.gradient == "grid" and kind in ("exact", "svd"):
+        return f"{kind}: nothing to do, gradients on the nodes are in its range"
     if kind == "none":
         return "none"
     if kind == "exact":

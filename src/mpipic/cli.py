@@ -34,17 +34,21 @@ Overrides = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a key, for example filter.kind=none.")
 ]
 
+Preset = Annotated[
+    str | None, typer.Option(help="Take the scheme by name, for example recommended, in place of the scene's own.")
+]
+
 BAD_INPUT, NOT_CONVERGED = 2, 4
 
 
-def _load(path: Path | None, overrides: list[str] | None, comm: Any) -> Scene:
+def _load(path: Path | None, overrides: list[str] | None, comm: Any, preset: str | None = None) -> Scene:
     """Read the scene on rank 0 and give it, or the refusal, to all."""
     from mpipic.scene import Scene, SceneError
 
     scene: Scene | SceneError | None = None
     if comm.rank == 0:
         try:
-            scene = Scene.load(path, overrides or ())
+            scene = Scene.load(path, overrides or (), preset)
             scene.check_ranks(comm.size)
         except SceneError as error:
             scene = error
@@ -81,6 +85,7 @@ def _refuse(text: str, comm: Any, code: int = BAD_INPUT) -> typer.Exit:
 def run(
     scene: SceneFile = None,
     set_: Overrides = None,
+    preset: Preset = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Run directory; default runs/<scene name>-<time>.")
     ] = None,
@@ -93,7 +98,7 @@ def run(
     from mpipic.scene import SceneError
 
     try:
-        loaded = _load(scene, set_, comm)
+        loaded = _load(scene, set_, comm, preset)
         from mpipic import runner
         from mpipic.console import Console
         from mpipic.errors import NotConverged
@@ -111,13 +116,13 @@ def run(
 
 
 @app.command()
-def check(scene: SceneFile = None, set_: Overrides = None) -> None:
+def check(scene: SceneFile = None, set_: Overrides = None, preset: Preset = None) -> None:
     """Say what a scene builds, what it leaves out, and the memory it takes, without running it."""
     comm = start()
     from mpipic.scene import SceneError
 
     try:
-        loaded = _load(scene, set_, comm)
+        loaded = _load(scene, set_, comm, preset)
         from mpipic import advice
         from mpipic.console import Console
         from mpipic.simulation import check_filter, solution_of

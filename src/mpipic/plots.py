@@ -137,51 +137,43 @@ def draw_spectrum(path: Path | str, points: Sequence[Any], scene: Any = None) ->
 
 
 def draw_work_precision(path: Path | str, points: Sequence[Any], title: str, error: str, note: str = "") -> None:
-    """Draw error against stepping time on log axes: a line a scheme, the Pareto front, what is unstable at the top edge.
+    """Draw error against stepping time on log axes: a line a scheme, the Pareto front, unstable points on top.
 
     Parameters
     ----------
     path : PNG file, replaced whole
-    points : have `scheme`, `line` (points of one line are joined), `seconds`, `spread`, `error` (None where unstable),
-        `on_front`, `text` (shown at points on the front)
+    points : have `scheme`, `line` (points of one line are joined), `seconds`, `spread` (least and largest seconds),
+        `error` (None where unstable), `on_front`
     title, error, note : title, name of the error, and what to say below the picture
     """
     with _figure(path, (9.6, 5.4)) as figure:
-        axes = figure.add_subplot()
+        axes = figure.add_subplot(xscale="log", yscale="log", ylabel=error)
+        axes.set_title(title, pad=14)
+        axes.set_xlabel("seconds of stepping" + (f"\n{note}" if note else ""))
         front = sorted((p.seconds, p.error) for p in points if p.on_front)
         if front:
-            style = {"color": "#D9D9D9", "lw": 7, "solid_capstyle": "round", "zorder": 1, "label": "Pareto front"}
-            axes.plot(*zip(*front, strict=True), drawstyle="steps-post", **style)
+            band: dict[str, Any] = {"color": "#D9D9D9", "lw": 7, "solid_capstyle": "round", "zorder": 1}
+            axes.plot(*zip(*front), drawstyle="steps-post", label="Pareto front:\nfilled markers", **band)
+        cross: dict[str, Any] = {"ls": "", "marker": "X", "ms": 10, "mec": "white"}
         for number, scheme in enumerate(dict.fromkeys(p.scheme for p in points)):
-            mine, label = [p for p in points if p.scheme == scheme], scheme
-            style = {**_line(number), "ms": 5.5, "elinewidth": 0.8, "capsize": 2}
-            for line in dict.fromkeys(p.line for p in mine if p.error):
-                seconds, low, high, errors = zip(
-                    *(
-                        (p.seconds, p.seconds - p.spread[0], p.spread[1] - p.seconds, p.error)
-                        for p in mine
-                        if p.line == line and p.error
-                    ),
-                    strict=True,
-                )
-                axes.errorbar(seconds, errors, xerr=(low, high), label=label, **style)
-                label = "_"
-            lost = [p.seconds for p in mine if not p.error]
-            cross = {"ls": "", "marker": "X", "ms": 9, "mec": "white", "color": style["color"], "clip_on": False}
-            if lost:
-                axes.plot(lost, [1.0] * len(lost), transform=axes.get_xaxis_transform(), **cross)
+            style = {**_line(number), "ms": 6.0}
+            color = style["color"]
+            axes.plot([], [], label=scheme, **style)
+            mine = [p for p in points if p.scheme == scheme]
+            for line in dict.fromkeys(p.line for p in mine):
+                known = [(p.seconds, p.error) for p in mine if p.line == line and p.error]
+                axes.plot(*(zip(*known) if known else ([], [])), color=color, ls=style["ls"], lw=1.3)
+            for p in mine:
+                if not p.error:
+                    axes.plot(p.seconds, 1.0, transform=axes.get_xaxis_transform(), color=color, clip_on=False, **cross)
+                    continue
+                axes.plot(p.spread, (p.error, p.error), color=color, lw=0.8, alpha=0.6)
+                fill = color if p.on_front else "white"
+                axes.plot(p.seconds, p.error, color=color, marker=style["marker"], ms=6.0, mfc=fill, zorder=3)
         if any(not p.error for p in points):
-            axes.plot([], [], label="unstable, at the time\nthat all steps would take", **{**cross, "color": "#777777"})
-        for p in points:
-            if p.on_front:
-                axes.annotate(
-                    p.text, (p.seconds, p.error), (-5, -6), textcoords="offset points", ha="right", va="top", fontsize=8
-                )
-        axes.set(xscale="log", yscale="log", xlabel="seconds of stepping", ylabel=error)
+            axes.plot([], [], label="unstable, at the time\nthat all steps would take", color="#777777", **cross)
         if points:
             figure.legend(loc="outside right upper", fontsize=9)
-        figure.suptitle(title, fontsize=11)
-        figure.supxlabel(note, fontsize=8, color="#555555")
 
 
 def _line(number: int) -> dict[str, Any]:

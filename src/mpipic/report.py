@@ -11,19 +11,23 @@ from typing import Any
 
 from mpipic.output import replacing
 from mpipic.scene_text import write_toml
-from mpipic.study_file import Study, differing
+from mpipic.study_file import Study
+from mpipic.study_points import differing
 from mpipic.study_results import Row, columns, orders
 
 REPORT = "report.html"
 STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; color: #222; background: #fff; max-width: 75rem; margin: 2rem auto; padding: 0 1rem }
+body { font: 15px/1.5 system-ui, sans-serif; color: #222; background: #fff;
+  max-width: 75rem; margin: 2rem auto; padding: 0 1rem }
 h1 { font-size: 1.5rem; margin-bottom: .2rem } h2 { font-size: 1.15rem; margin-top: 2rem }
 img { max-width: 100%; height: auto } pre { background: #f4f4f4; padding: .8rem; overflow-x: auto; font-size: 13px }
 .wide { overflow-x: auto } table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: 13px }
 th, td { padding: .25rem .6rem; border-bottom: 1px solid #ddd; text-align: left; white-space: nowrap }
-td.number { text-align: right } tr.front { background: #eaf2f8 } tr.failed td { color: #888 } td.message { white-space: normal }
+td.number { text-align: right } tr.front { background: #eaf2f8 } tr.failed td { color: #888 }
+td.message { white-space: normal }
 th button { all: unset; cursor: pointer; font-weight: 600 } th button:focus-visible { outline: 2px solid #0072B2 }
-th[aria-sort=ascending] button::after { content: " \\25B2" } th[aria-sort=descending] button::after { content: " \\25BC" }
+th[aria-sort=ascending] button::after { content: " \\25B2" }
+th[aria-sort=descending] button::after { content: " \\25BC" }
 """
 SCRIPT = """
 for (const button of document.querySelectorAll("table.sortable th button")) button.onclick = () => {
@@ -34,7 +38,7 @@ for (const button of document.querySelectorAll("table.sortable th button")) butt
   const key = row => row.cells[column].dataset.value ?? row.cells[column].textContent;
   const order = (a, b) => {
     if (a === "" || b === "") return (a === "") - (b === "");
-    const by = isNaN(a) || isNaN(b) ? a.localeCompare(b) : a - b;
+    const by = isNaN(a) || isNaN(b) ? a.localeCompare(b, undefined, {numeric: true}) : a - b;
     return down ? -by : by;
   };
   body.append(...[...body.rows].sort((a, b) => order(key(a), key(b))));
@@ -45,7 +49,8 @@ SHOWN = {
     "steps": "steps", "dt": "dt", "cfl": "CFL",
     "density_l1": "density l1", "density_l2": "density l2", "density_linf": "density l∞",
     "velocity_l1": "velocity l1", "velocity_l2": "velocity l2", "velocity_linf": "velocity l∞",
-    "seconds": "seconds of stepping", "seconds_min": "least", "seconds_max": "largest", "total_seconds": "total seconds",
+    "seconds": "seconds of stepping", "seconds_min": "least", "seconds_max": "largest",
+    "total_seconds": "total seconds",
     "particle_steps_per_second": "particle-steps/s", "peak_memory": "peak MB", "repeats": "runs", "id": "id",
     "message": "remark",
 }  # fmt: skip
@@ -71,7 +76,7 @@ unstable point end where it blew up. Peak memory is that of the largest process.
 {_orders(rows)}
 <h2>Reproduce</h2>
 <pre>{escape(facts["command"])}</pre>
-<p>One point: <code>mpipic run scenes/ID.toml</code>, in this folder, under <code>mpiexec -n RANKS</code> where it says so.</p>
+<p>One point: <code>mpipic run scenes/ID.toml</code> in this folder; its first line says on what ranks.</p>
 <h2>Machine and versions</h2>
 {_facts({**facts["machine"], **facts["versions"]})}
 <h2>Settings</h2>

@@ -19,6 +19,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from mpipic.decomposition import process_grid
+from mpipic.presets import PRESETS, with_preset
 from mpipic.scene_checks import CHOICES, FIXED_FOR_NOW, USED_WITH, available, check
 from mpipic.scene_rules import particle_count, spacing
 from mpipic.scene_text import Problem, SceneError, apply_overrides, closest, escape, parse_toml, write_toml
@@ -30,6 +31,8 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Count = Annotated[int, Field(ge=1)]
 CountOrZero = Annotated[int, Field(ge=0)]
+SmallOrder = Annotated[int, Field(ge=1, le=8)]
+SmallOrderOrZero = Annotated[int, Field(ge=0, le=8)]
 EvenOrder = Annotated[int, Field(ge=2, le=12, multiple_of=2)]
 Steps = Annotated[tuple[CountOrZero, ...], AfterValidator(lambda steps: tuple(sorted(set(steps))))]
 
@@ -95,7 +98,7 @@ class MappingSection(Section):
     basis: str = Field(default="linear", description=_CHOICE)
     mass: str = Field(default="lumped", description=_CHOICE)
     penalty: Positive = Field(default=0.1, description=_ABOVE_0)
-    penalty_order: Count = Field(default=4, description=_FROM_1)
+    penalty_order: SmallOrder = Field(default=4, description="a whole number from 1 to 8")
     gradient: str = Field(default="direct", description=_CHOICE)
     gradient_order: EvenOrder = Field(default=10, description="an even whole number from 2 to 12")
 
@@ -111,7 +114,7 @@ class FilterSection(Section):
 class DampingSection(Section):
     """Grid-scale damping: `order` of the low-pass, 0 for none; `strength` per distance that sound travels."""
 
-    order: CountOrZero = Field(default=0, description=_FROM_0)
+    order: SmallOrderOrZero = Field(default=0, description="a whole number from 0 to 8")
     strength: Positive = Field(default=1.0, description=_ABOVE_0)
 
 
@@ -160,20 +163,26 @@ class Scene:
     name: str = field(default="paper", compare=False)
 
     @classmethod
-    def load(cls, path: Path | str | None, overrides: Sequence[str] = ()) -> Scene:
+    def load(cls, path: Path | str | None, overrides: Sequence[str] = (), preset: str | None = None) -> Scene:
         """Read a scene file, or the defaults for None, and apply overrides such as ``filter.kind=none``.
 
-        An override of time.dt takes the place of a time.cfl in the file, and the other way round.
+        An override of time.dt takes the place of a time.cfl in the file, and the other way round. A preset, a name in
+        `mpipic.presets`, takes the place of the file's scheme before that.
 
         Raises
         ------
         SceneError
             With every mistake in the file and the overrides, or the reason why the file cannot be read.
         """
+        if preset is not None and preset not in PRESETS:
+            choices = tuple(PRESETS)
+            rule = "must be one of " + ", ".join(choices)
+            raise SceneError([Problem("--preset", preset, rule, choices, closest(preset, choices))])
         if path is None:
-            return cls.from_dict({}, overrides, name="paper")
+            return cls.from_dict(with_preset({}, preset) if preset else {}, overrides, name="paper")
         path = Path(path)
         data = parse_toml(_read(path), str(path))
+        data = with_preset(data, preset) if preset else data
         return cls.from_dict(_with_absolute_path(data, path.parent), overrides, name=path.stem)
 
     @classmethod

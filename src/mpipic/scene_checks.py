@@ -40,21 +40,25 @@ FIXED_FOR_NOW: dict[str, int] = {"output.checkpoint_every": 0}
 
 ABOVE_ZERO = "above 0"
 
-# Keys that matter only to some choices: key -> (the key that chooses, the choices that use it).
-USED_WITH: dict[str, tuple[str, tuple[str, ...]]] = {
-    "particles.per_cell": ("particles.layout", ("lattice", "jittered", "random", "clustered")),
-    "particles.jitter": ("particles.layout", ("jittered",)),
-    "particles.seed": ("particles.layout", ("jittered", "random", "clustered")),
-    "particles.path": ("particles.layout", ("file",)),
-    "initial.center": ("initial.profile", ("gaussian", "plane-gaussian")),
-    "initial.sharpness": ("initial.profile", ("gaussian", "plane-gaussian")),
-    "initial.wave": ("initial.profile", ("plane-gaussian", "plane-wave", "standing-wave")),
-    "mapping.penalty": ("mapping.mass", ("penalised",)),
-    "mapping.penalty_order": ("mapping.mass", ("penalised",)),
-    "mapping.gradient_order": ("mapping.gradient", ("grid",)),
-    "filter.order": ("filter.kind", ("order", "chebyshev")),
-    "filter.tolerance": ("filter.kind", ("exact",)),
-    "damping.strength": ("damping.order", (ABOVE_ZERO,)),
+# Keys that matter only to some choices: key -> alternatives (the key that chooses, the choices that use it).
+USED_WITH: dict[str, tuple[tuple[str, tuple[str, ...]], ...]] = {
+    "particles.per_cell": (("particles.layout", ("lattice", "jittered", "random", "clustered")),),
+    "particles.jitter": (("particles.layout", ("jittered",)),),
+    "particles.seed": (("particles.layout", ("jittered", "random", "clustered")),),
+    "particles.path": (("particles.layout", ("file",)),),
+    "initial.center": (("initial.profile", ("gaussian", "plane-gaussian")),),
+    "initial.sharpness": (("initial.profile", ("gaussian", "plane-gaussian")),),
+    "initial.wave": (("initial.profile", ("plane-gaussian", "plane-wave", "standing-wave")),),
+    "mapping.penalty": (("mapping.mass", ("penalised",)),),
+    "mapping.penalty_order": (("mapping.mass", ("penalised",)),),
+    "mapping.gradient_order": (("mapping.gradient", ("grid",)),),
+    "filter.order": (("filter.kind", ("order", "chebyshev")),),
+    "filter.tolerance": (
+        ("filter.kind", ("exact",)),
+        ("mapping.mass", ("consistent", "penalised")),
+        ("time.integrator", ("midpoint",)),
+    ),
+    "damping.strength": (("damping.order", (ABOVE_ZERO,)),),
 }
 
 INTEGER_LIMIT = 2**63  # TOML's integers have 64 bits
@@ -266,14 +270,21 @@ def _unused_rule(draft: Draft, key: str) -> str | None:
     """Return why nothing uses `key` with the present choices; None when something does or that is unknown."""
     if key not in USED_WITH:
         return None
-    chooser, users = USED_WITH[key]
-    choice = draft.values[chooser]
-    if not draft.good(chooser) or choice in users or (ABOVE_ZERO in users and choice > 0):
-        return None
-    reason = f"has no effect with {chooser} = {show(choice)}"
+    alternatives = USED_WITH[key]
+    for chooser, users in alternatives:
+        choice = draft.values[chooser]
+        if not draft.good(chooser) or choice in users or (ABOVE_ZERO in users and choice > 0):
+            return None
+    chooser = alternatives[0][0]
+    reason = f"has no effect with {chooser} = {show(draft.values[chooser])}"
+    return f"{reason}; it is used with " + " or ".join(_named(*alternative) for alternative in alternatives)
+
+
+def _named(chooser: str, users: tuple[str, ...]) -> str:
+    """A chooser and those of its choices that can be used now, or all if none can."""
     now = [name for name in users if CHOICES.get(chooser, {}).get(name, chooser not in FIXED_FOR_NOW)]
     named = f"{chooser} {ABOVE_ZERO}" if ABOVE_ZERO in users else f"{chooser} = {', '.join(now or users)}"
-    return f"{reason}; it is used with {named}" + ("" if now else ", not available yet")
+    return named + ("" if now else ", not available yet")
 
 
 def _check_unused(draft: Draft) -> None:

@@ -167,6 +167,35 @@ def time_step_is_a_number(v: Values) -> Broken | None:
     return key, f"is out of the range of floating point: dt = {dt}, sound_speed dt / h = {cfl}, flow dt / h = {travel}"
 
 
+@_rule("mapping.gradient", "filter.kind")
+def skew_needs_a_nodal_filter(v: Values) -> Broken | None:
+    """The skew gradient is made of nodal sums, which a filter takes to coefficients."""
+    if v["mapping.gradient"] != "skew" or v["filter.kind"] not in ("none", "svd"):
+        return None
+    also = "; exact is the same operator" if v["filter.kind"] == "svd" else ""
+    return "mapping.gradient", f"needs a filter other than none and svd; it is {show(v['filter.kind'])}{also}"
+
+
+@_rule("mapping.mass", "mapping.gradient", "filter.kind")
+def svd_knows_no_penalty(v: Values) -> Broken | None:
+    """The reference works on particle values, where the penalised scheme is not defined."""
+    if v["filter.kind"] != "svd" or v["mapping.mass"] != "penalised" or v["mapping.gradient"] == "grid":
+        return None
+    return "filter.kind", 'svd needs mapping.mass = lumped or consistent, or mapping.gradient = "grid"; use exact'
+
+
+@_rule("damping.order", "mapping.mass", "mapping.gradient", "filter.kind")
+def damping_needs_fields_that_particles_can_take(v: Values) -> Broken | None:
+    """Damping changes least-squares fields, and particles get the change by interpolation."""
+    if not v["damping.order"]:
+        return None
+    if v["mapping.mass"] == "lumped":
+        return "damping.order", 'needs mapping.mass = consistent or penalised; it is "lumped"'
+    if v["filter.kind"] == "none" and v["mapping.gradient"] == "direct":
+        return "damping.order", 'needs a filter, or mapping.gradient = "grid": filter.kind is "none"'
+    return None
+
+
 @_rule("time.steps", "output.report_at")
 def reports_are_within_the_run(v: Values) -> Broken | None:
     """A report after the last step would never be written."""

@@ -16,13 +16,15 @@ from mpipic.console import Console, duration
 from mpipic.output import OutputError
 from mpipic.pareto import cheapest, most_accurate
 from mpipic.scene import Problem, SceneError
-from mpipic.study_file import Point, Study, load
+from mpipic.study_file import Study, load
+from mpipic.study_points import Point, words
 from mpipic.study_results import (
     CSV,
     JSON,
     NOT_RUN,
     Row,
     content,
+    joined,
     marks,
     orders,
     stable_pairs,
@@ -202,33 +204,37 @@ def _write(study: Study, folder: Path, rows: Sequence[Row], runs: Sequence[Seque
     from mpipic.plots import draw_work_precision
 
     every = [record for of_it in runs for record in of_it]
-    versions = next((r["versions"] for r in reversed(every) if r.get("versions")), {})
+    versions: dict[str, str] = next((r["versions"] for r in reversed(every) if r.get("versions")), {})
     facts = {"command": command, "machine": every[-1]["machine"] if every else machine(), "versions": versions}
     write_csv(folder / CSV, study, rows)
     write_json(folder / JSON, content(study, rows, runs, facts))
     error = f"error, {study.settings.error.replace('.', ' ')} at t = {study.settings.until:g}"
-    draw_work_precision(folder / PICTURE, marks(study, rows), study.title, error, _not_drawn(rows))
+    draw_work_precision(folder / PICTURE, marks(study, rows), study.title, error, _note(study, rows))
     report.write(folder / report.REPORT, report.page(study, rows, facts, folder / PICTURE))
 
 
-def _not_drawn(rows: Sequence[Row]) -> str:
-    """How many points the picture leaves out, and why."""
+def _note(study: Study, rows: Sequence[Row]) -> str:
+    """What joined points have in common, and how many points the picture leaves out, and why."""
+    axis = joined(study)
+    along = [words(axis.name, choice.value) for choice in axis.choices] if axis else []
+    along = [*(text.removesuffix(" cells") for text in along[:-1]), *along[-1:]]
+    notes = [f"along a line: {', '.join(along)}"] if along else []
     missing = [row.status for row in rows if row.status in (*FAILED, NOT_RUN)]
     counts = [f"{missing.count(status)} {status}" for status in dict.fromkeys(missing)]
-    return f"not shown: {', '.join(counts)}" if counts else ""
+    return "; ".join([*notes, *([f"not shown: {', '.join(counts)}"] if counts else [])])
 
 
 def _say(study: Study, rows: Sequence[Row], console: Console) -> None:
     norm = study.settings.error.replace(".", " ")
     header = ("scheme", "resolution", "status", norm, "seconds", "from..to", "10^6 steps/s", "MB", "front")
-    console.table(study.title, header, _aligned([_cells(row) for row in rows], 3))
+    console.table(study.title, header, [_cells(row) for row in rows])
     found = orders(rows)
     if found:
         cells = [
             [o.label, f"{o.fit.order:.2f}", f"{o.fit.residual:.2g}", str(o.fit.count), str(o.left_out)] for o in found
         ]
         title = "observed order of convergence in h"
-        console.table(title, ("scheme", "order", "residual", "points", "at the floor"), _aligned(cells, 1))
+        console.table(title, ("scheme", "order", "residual", "points", "at the floor"), cells)
     for row in rows:
         if row.status in FAILED:
             console.warning(f"{row.point.label}: {row.status}: {row.message}")
@@ -237,7 +243,7 @@ def _say(study: Study, rows: Sequence[Row], console: Console) -> None:
 def _warn_of_mixture(runs: Sequence[Sequence[Any]], console: Console) -> None:
     """Times of two machines, or of two versions, are no comparison."""
     every = [record for of_it in runs for record in of_it]
-    versions = {str(sorted(record["versions"].items())) for record in every if record.get("versions")}
+    versions: set[str] = {str(sorted(record["versions"].items())) for record in every if record.get("versions")}
     places = {(record["machine"]["processor"], record["machine"]["cores"]) for record in every}
     for found, what in ((places, "machines"), (versions, "sets of versions")):
         if len(found) > 1:
@@ -252,9 +258,3 @@ def _cells(row: Row) -> list[str]:
         f"{spent.median:.3g}" if spent else "-", f"{spent.least:.3g}..{spent.largest:.3g}" if spent else "-",
         f"{1e-6 * rate:.3g}" if rate else "-", f"{1e-6 * memory:.0f}" if memory else "-", "*" if row.on_front else "",
     ]  # fmt: skip
-
-
-def _aligned(rows: list[list[str]], words: int) -> list[list[str]]:
-    """Pad the first columns, so that words stand to the left in a table that puts them to the right."""
-    widths = [max(len(row[i]) for row in rows) for i in range(words)]
-    return [[*(row[i].ljust(widths[i]) for i in range(words)), *row[words:]] for row in rows]

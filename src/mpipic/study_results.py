@@ -16,7 +16,8 @@ from mpipic.output import plain, replacing
 from mpipic.pareto import Fit, fit_order, front
 from mpipic.scene import Scene
 from mpipic.scene_text import show
-from mpipic.study_file import NORMS, QUANTITIES, Point, Study
+from mpipic.study_file import NORMS, QUANTITIES, Study
+from mpipic.study_points import Axis, Point
 from mpipic.study_runs import COMPLETED, UNSTABLE, Record
 
 CSV, JSON = "study.csv", "study.json"
@@ -172,7 +173,7 @@ def _family_label(point: Point) -> str:
 # ------------------------------------------------------------ files
 
 MEASURED = (
-    "id", "scheme", "resolution", "status", "ranks", "particles", "nodes", "h", "dt", "cfl", "steps", "time",
+    "id", "label", "status", "ranks", "particles", "nodes", "h", "dt", "cfl", "steps", "time",
     *(f"{quantity}_{norm}" for quantity in QUANTITIES for norm in NORMS),
     "repeats", "seconds", "seconds_min", "seconds_max", "total_seconds", "total_seconds_min", "total_seconds_max",
     "particle_steps_per_second", "peak_memory", "on_front", "message",
@@ -183,9 +184,9 @@ def columns(row: Row) -> dict[str, Any]:
     """What was measured at a point, flat."""
     point, seconds, total = row.point, row.seconds, row.total_seconds
     return {
-        "id": point.id, "scheme": point.scheme, "resolution": point.resolution, "status": row.status,
-        "ranks": point.ranks, "particles": row.particles, "nodes": row.nodes, "h": min(point.scene.h),
-        "dt": point.scene.dt, "cfl": point.scene.cfl, "steps": row.steps, "time": row.time,
+        "id": point.id, "label": point.label, "scheme": point.scheme, "resolution": point.resolution,
+        "status": row.status, "ranks": point.ranks, "particles": row.particles, "nodes": row.nodes,
+        "h": min(point.scene.h), "dt": point.scene.dt, "cfl": point.scene.cfl, "steps": row.steps, "time": row.time,
         **{f"{quantity}_{norm}": row.errors.get(quantity, {}).get(norm) for quantity in QUANTITIES for norm in NORMS},
         "repeats": row.repeats,
         "seconds": seconds and seconds.median, "seconds_min": seconds and seconds.least,
@@ -224,13 +225,17 @@ def content(
     points = []
     for row, of_it in zip(rows, runs, strict=True):
         scene = row.point.scene.to_dict()
-        more = {"phases": row.phases, "values": row.point.values, "scene": scene, "runs": of_it}
-        points.append({"label": row.point.label, **columns(row), **more})
+        brief = [{key: value for key, value in run.items() if key not in ("machine", "versions")} for run in of_it]
+        values = {"values": row.point.values, "phases": row.phases, "scene": scene, "runs": brief}
+        points.append({**columns(row), **values})
     return {
-        "title": study.title, "settings": study.settings.model_dump(), "axes": [axis.name for axis in study.axes], **facts,
+        "title": study.title,
+        "settings": study.settings.model_dump(),
+        "axes": [axis.name for axis in study.axes],
+        **facts,
         "points": points,
         "orders": [{"label": order.label, **asdict(order.fit), "left_out": order.left_out} for order in orders(rows)],
-    }  # fmt: skip
+    }
 
 
 def write_json(path: Path, value: dict[str, Any]) -> None:
@@ -253,20 +258,23 @@ class Mark:
     spread: tuple[float, float]
     error: float | None
     on_front: bool
-    text: str
+
+
+def joined(study: Study) -> Axis | None:
+    """The axis along which the picture joins points: grid.cells, else the first that refines schemes."""
+    refining = [axis for axis in study.axes if axis.refines and len(axis.choices) > 1]
+    return next((axis for axis in refining if axis.name == CELLS), next(iter(refining), None))
 
 
 def marks(study: Study, rows: Sequence[Row]) -> list[Mark]:
     """The points that belong in the picture: completed, and unstable ones at the time that all steps would take."""
-    refining = [axis.name for axis in study.axes if axis.refines and len(axis.choices) > 1]
-    joined = CELLS if CELLS in refining else next(iter(refining), CELLS)
+    axis = joined(study)
     found = []
     for row in rows:
-        scheme, line = row.point.scheme or study.title, row.point.apart_from(joined)
-        text = row.point.resolution.removesuffix(" cells")
+        scheme, line = row.point.scheme or study.title, row.point.apart_from(axis.name if axis else "")
         if row.is_stable and row.seconds and row.error:
             spread = (row.seconds.least, row.seconds.largest)
-            found.append(Mark(scheme, line, row.seconds.median, spread, row.error, row.on_front, text))
+            found.append(Mark(scheme, line, row.seconds.median, spread, row.error, row.on_front))
         elif row.status == UNSTABLE and row.whole_seconds:
-            found.append(Mark(scheme, line, row.whole_seconds, (row.whole_seconds,) * 2, None, False, text))
+            found.append(Mark(scheme, line, row.whole_seconds, (row.whole_seconds,) * 2, None, False))
     return found

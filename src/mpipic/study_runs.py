@@ -26,7 +26,7 @@ from typing import IO, Any
 from mpipic.output import SUMMARY, OutputError, plain, replacing
 from mpipic.runtime import RANKS
 from mpipic.scene_text import escape
-from mpipic.study_file import Point
+from mpipic.study_points import Point
 
 COMPLETED, UNSTABLE, TIMEOUT, CRASHED = "completed", "unstable", "timeout", "crashed"
 NOT_CONVERGED, REFUSED = "not converged", "refused"
@@ -36,11 +36,11 @@ POINTS, SCENES = "points.jsonl", "scenes"
 LOOK, GRACE = 0.02, 10.0
 """Seconds between looks at a run, and that it has to end when asked."""
 KEPT = ("steps", "time", "ranks", "particles", "nodes", "seconds", "particle_steps_per_second", "blow_up", "versions")
-# What Open MPI's and MPICH's launchers leave in their processes: another launcher among them would take itself for a rank.
+# What Open MPI's and MPICH's launchers leave in their processes: a launcher among them would take itself for a rank.
 LAUNCHED = (
     "OMPI_COMM_WORLD_", "OMPI_MCA_orte_", "OMPI_MCA_ess", "OMPI_MCA_pmix", "OMPI_MCA_initial_wdir", "OMPI_APP_CTX",
-    "OMPI_MCA_mpi_oversubscribe", "OMPI_UNIVERSE", "OMPI_NUM_APP", "OMPI_FIRST", "OMPI_FILE", "OMPI_COMMAND", "OMPI_ARGV",
-    "PMIX_", "PMI_", "PMI2_", "MV2_COMM_WORLD_", "MPI_LOCAL", "HYDI_",
+    "OMPI_MCA_mpi_oversubscribe", "OMPI_UNIVERSE", "OMPI_NUM_APP", "OMPI_FIRST", "OMPI_FILE", "OMPI_COMMAND",
+    "OMPI_ARGV", "PMIX_", "PMI_", "PMI2_", "MV2_COMM_WORLD_", "MPI_LOCAL", "HYDI_",
 )  # fmt: skip
 
 Record = dict[str, Any]
@@ -172,13 +172,14 @@ def _message(status: str, ended: Ended, said: str) -> str:
         return f"ended after {ended.seconds:.0f} s"
     lines = [line.strip() for line in said.splitlines() if line.strip()]
     own = [line.removeprefix("error: ") for line in lines if line.startswith("error: ")] or lines[-1:]
+    own = [line.removeprefix(f"{status}: ") for line in own]
     code = ended.code or 0
     how = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
     return escape("; ".join(own)[:500] or how) if status != CRASHED else escape("; ".join([how, *own])[:500])
 
 
 class Records:
-    """Every run in DIR/points.jsonl, one line each, forced to disk as they end; of two lines for one run the later counts.
+    """Every run in DIR/points.jsonl, a line each, forced to disk as it ends; of two lines for one run the later counts.
 
     Raises
     ------

@@ -1,0 +1,31 @@
+"""Schemes by name, for any scene: whole sections that take the place of the scene's own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+PRESETS: dict[str, dict[str, dict[str, Any]]] = {
+    "recommended": {
+        "mapping": {"basis": "cubic", "mass": "penalised", "gradient": "grid"},
+        "filter": {"kind": "exact"},
+        "damping": {"order": 4, "strength": 1.0},
+        "time": {"integrator": "rk4"},
+    },
+    "paper": {
+        "mapping": {"basis": "linear", "mass": "lumped", "gradient": "direct"},
+        "filter": {"kind": "local"},
+        "damping": {"order": 0},
+        "time": {"integrator": "symplectic"},
+    },
+}
+"""Name to sections. Those of `time` are changed key by key, the others replaced."""
+
+
+def with_preset(data: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """The scene's data with the scheme of the preset; `data` is not modified."""
+    result = dict(data)
+    for section, values in PRESETS[name].items():
+        own = data.get(section, {}) if section == "time" else {}
+        result[section] = {**own, **values} if isinstance(own, Mapping) else own
+    return result
