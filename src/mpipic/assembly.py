@@ -28,6 +28,10 @@ class Formulation(Protocol):
         """Bytes of arrays that live as long as the run."""
         ...
 
+    def forget(self) -> None:
+        """Begin anew after particles were changed from outside. Collective."""
+        ...
+
     def step(self) -> None:
         """Take density, velocity and positions from t to t + dt. Collective."""
         ...
@@ -129,6 +133,10 @@ class ReferenceScheme:
     def nbytes(self) -> int:
         """Bytes of mapping and filter."""
         return self._carrier.nbytes
+
+    def forget(self) -> None:
+        """Follow the particles wherever they have been put. Collective."""
+        self._carrier.mapping.follow(self._carrier.sweep.particles)
 
     def step(self) -> None:
         """One time step."""

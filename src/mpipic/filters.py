@@ -70,6 +70,9 @@ class Filter(ABC):
         """Bytes that the filter keeps between applications."""
         return 0
 
+    def forget(self) -> None:
+        """Begin every series anew. Local."""
+
     def facts(self) -> dict[str, Any]:
         """What the filter found out about itself at its present positions, for reports."""
         return {}
@@ -275,6 +278,10 @@ class ExactFilter(NodalFilter):
             self.iterations.append(self.solver.iterations)
         self.mapping.phase("nodes")
         return result
+
+    def forget(self) -> None:
+        """Begin every series anew. Local."""
+        self.solver.forget()
 
     @property
     def nbytes(self) -> int:

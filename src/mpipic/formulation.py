@@ -78,6 +78,10 @@ class SymplecticEuler:
         """Bytes of the nodal work arrays."""
         return self.nodal.nbytes + self._scalar.nbytes + self._vector.nbytes + self.filter.nbytes
 
+    def forget(self) -> None:
+        """Begin every series anew: the next step does not know the last. Local."""
+        self.filter.forget()
+
     def step(self) -> None:
         """One time step; u is used at t, ρ at t + dt."""
         sweep, rates = self.sweep, self.rates
@@ -114,6 +118,9 @@ class UnfilteredEuler:
         """Bytes of the nodal work arrays."""
         return self.nodal.nbytes + self._scalar.nbytes
 
+    def forget(self) -> None:
+        """Nothing is remembered."""
+
     def step(self) -> None:
         """One time step; u is used at t, ρ at t + dt."""
         sweep, rates = self.sweep, self.rates
@@ -143,6 +150,10 @@ class ReferenceEuler:
     def nbytes(self) -> int:
         """Bytes of the mapping, of what the filter keeps, and of the nodal work array."""
         return self._carrier.nbytes
+
+    def forget(self) -> None:
+        """Follow the particles wherever they have been put. Collective."""
+        self._carrier.mapping.follow(self._carrier.sweep.particles)
 
     def step(self) -> None:
         """One time step; u is used at t, ρ at t + dt."""

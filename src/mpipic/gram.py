@@ -349,6 +349,10 @@ class GramSolver:
         self._x, self._b = self._shell.createVecs()
         _living.add(self)
 
+    def forget(self) -> None:
+        """Begin every series anew. Local."""
+        self._earlier.clear()
+
     def close(self) -> None:
         """Give PETSc's objects back; no `solve` after this. Collective."""
         for item in (self._ksp, self._shell, self._x, self._b):

@@ -113,6 +113,11 @@ class Particles:
         self._axes[:, span], self._state[span], self._ids[span, 0] = coordinate.T, state, ids
         self.count += added
 
+    def replace(self, coordinate: FloatArray, state: FloatArray, ids: IntArray) -> None:
+        """Hold these particles and no others. Shapes (n, d), (n, k), (n,). Local; O(n)."""
+        self.count = 0
+        self.append(coordinate, state, ids)
+
     def _reserve(self, wanted: int) -> None:
         if wanted <= len(self._ids):
             return

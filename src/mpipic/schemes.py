@@ -53,6 +53,9 @@ class Mass(ABC):
     def response(self, coefficients: FloatArray) -> FloatArray:
         """What the nodal fields gain when the particles gain Φ times the coefficients. Collective."""
 
+    def forget(self) -> None:
+        """Begin every series anew. Local."""
+
     @property
     def nbytes(self) -> int:
         """Bytes held."""
@@ -101,6 +104,10 @@ class LeastSquaresMass(Mass):
         """The coefficients. Local."""
         return coefficients
 
+    def forget(self) -> None:
+        """Begin every series anew. Local."""
+        self.solver.forget()
+
     @property
     def nbytes(self) -> int:
         """Bytes of the solver."""
@@ -130,6 +137,9 @@ class Slopes(ABC):
     @abstractmethod
     def gradient(self, rho: FloatArray, stage: int) -> Rate:
         """Of (local_nodes, 1)."""
+
+    def forget(self) -> None:
+        """Begin every series anew. Local."""
 
     @property
     def nbytes(self) -> int:
@@ -191,6 +201,10 @@ class FilteredSlopes(Slopes):
         assert isinstance(self.sweep, SplineSweep)
         return self.sweep
 
+    def forget(self) -> None:
+        """Begin every series anew. Local."""
+        self.filter.forget()
+
     @property
     def nbytes(self) -> int:
         """Bytes that the filter holds."""
@@ -220,6 +234,11 @@ class GridSlopes(Slopes):
         if self.filter is not None:
             a = self.filter.coefficients(self.sweep.apply_gram(a), series=series)
         return Rate(a, self.mass.response(a))
+
+    def forget(self) -> None:
+        """Begin every series anew. Local."""
+        if self.filter is not None:
+            self.filter.forget()
 
     @property
     def nbytes(self) -> int:
@@ -373,6 +392,11 @@ class NodalScheme(Rates):
     def nbytes(self) -> int:
         """Bytes of what the parts hold; work arrays of the stages come and go."""
         return self.mass.nbytes + self.slopes.nbytes + (self.damping.nbytes if self.damping else 0)
+
+    def forget(self) -> None:
+        """Begin every series anew: the next step does not know the last. Local."""
+        self.mass.forget()
+        self.slopes.forget()
 
     def step(self) -> None:
         """One time step."""

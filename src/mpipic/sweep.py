@@ -71,9 +71,15 @@ class ParticleSweep(NodalMapping):
         self.migrated = 0
         self.sorts = 0
         self._allocate()
+        self.remap()
+
+    def remap(self) -> None:
+        """Map the particles where and as they are, after they were changed from outside. Collective."""
+        self.version += 1
+        self.peak = 0.0
         self._sort()
         self._clear(weigh=True)
-        self._deposit(0, particles.count, weigh=True)
+        self._deposit(0, self.particles.count, weigh=True)
         self._finish_sums(weigh=True)
 
     # ------------------------------------------------------------ on nodes
