@@ -10,6 +10,7 @@ from mpipic import filters, formulation, sweep
 from mpipic.filters import ExactFilter, Filter, NodalFilter
 from mpipic.formulation import OnParticles
 from mpipic.grid import Grid
+from mpipic.mapping import NodalMapping
 from mpipic.particles import Particles
 from mpipic.phases import Phases
 from mpipic.scene import Scene
@@ -17,7 +18,7 @@ from mpipic.sweep import ParticleSweep
 
 if TYPE_CHECKING:
     from mpipic.grid_operators import LowPass
-    from mpipic.schemes import Integrator, PlainScheme
+    from mpipic.schemes import Gas, Integrator, Mass, NodalScheme, PlainScheme
 
 
 class Formulation(Protocol):
@@ -62,35 +63,51 @@ def build_step(scene: Scene, carrier: ParticleSweep) -> Formulation:
 def _high_order(scene: Scene, carrier: ParticleSweep) -> Formulation:
     from mpipic import schemes
 
-    gas = schemes.Gas(scene.gas.density, scene.gas.sound_speed**2 / scene.gas.density)
-    mapping, settings = scene.mapping, scene.filter
+    settings, on_grid = scene.filter, scene.mapping.gradient == "grid"
+    if settings.kind != "svd" or on_grid:
+        return build_rates(scene, carrier)
+    svd = filters.SvdFilter(carrier)
+    on_particles = OnParticles(carrier, svd)
+    mapping = on_particles.mapping
+    mass = _mass(scene, mapping)
+    integrate, damping = _integrator(scene, symmetric=False), _damping(scene, carrier.grid)
+    plain = schemes.PlainScheme(mapping, _gas(scene), scene.dt, mass, integrate, svd, None, damping)
+    return ReferenceScheme(on_particles, plain)
+
+
+def build_rates(scene: Scene, carrier: ParticleSweep) -> NodalScheme:
+    """The scene's step in its general form on nodes, whichever faster form it may have. Collective."""
+    from mpipic import schemes
+
+    mapping, kind = scene.mapping, scene.filter.kind
     on_grid = mapping.gradient == "grid"
-    mass: schemes.Mass = schemes.LumpedMass(carrier)
-    if mapping.mass != "lumped":
-        mass = schemes.LeastSquaresMass(carrier, settings.tolerance, schemes.penalty_of(mapping))
-    symmetric = on_grid and mapping.mass != "lumped" and settings.kind in ("none", "exact", "svd")
-    integrate = _integrator(scene, symmetric)
-    if settings.kind == "svd" and not on_grid:
-        svd = filters.SvdFilter(carrier)
-        on_particles = OnParticles(carrier, svd)
-        if isinstance(mass, schemes.LumpedMass):
-            mass.mapping = on_particles.mapping
-        else:
-            mass = schemes.LeastSquaresMass(on_particles.mapping, settings.tolerance)
-        damping = _damping(scene, carrier.grid)
-        plain = schemes.PlainScheme(on_particles.mapping, gas, scene.dt, mass, integrate, svd, None, damping)
-        return ReferenceScheme(on_particles, plain)
+    unchanged = on_grid and kind in ("none", "exact", "svd")
+    mass = _mass(scene, carrier)
+    keep = None if unchanged or kind == "none" else _filter(scene, carrier, mass)
     slopes: schemes.Slopes
     if on_grid:
-        keep = _filter(scene, carrier, mass) if settings.kind not in ("none", "exact", "svd") else None
         slopes = schemes.GridSlopes(carrier, mass, mapping.gradient_order, keep)
-    elif settings.kind == "none":
+    elif keep is None:
         slopes = schemes.UnfilteredSlopes(carrier, mass)
     else:
-        keep = _filter(scene, carrier, mass)
-        assert keep is not None
         slopes = schemes.FilteredSlopes(carrier, mass, keep, skew=mapping.gradient == "skew")
-    return schemes.NodalScheme(carrier, gas, scene.dt, mass, slopes, integrate, _damping(scene, carrier.grid))
+    integrate = _integrator(scene, symmetric=unchanged and mapping.mass != "lumped")
+    damping = _damping(scene, carrier.grid)
+    return schemes.NodalScheme(carrier, _gas(scene), scene.dt, mass, slopes, integrate, damping)
+
+
+def _gas(scene: Scene) -> Gas:
+    from mpipic.schemes import Gas
+
+    return Gas(scene.gas.density, scene.gas.sound_speed**2 / scene.gas.density)
+
+
+def _mass(scene: Scene, mapping: NodalMapping) -> Mass:
+    from mpipic import schemes
+
+    if scene.mapping.mass == "lumped":
+        return schemes.LumpedMass(mapping)
+    return schemes.LeastSquaresMass(mapping, scene.filter.tolerance, schemes.penalty_of(scene.mapping))
 
 
 def _integrator(scene: Scene, symmetric: bool) -> Integrator:

@@ -231,6 +231,55 @@ def study(
 
 
 @app.command()
+def stability(
+    scene: SceneFile = None,
+    set_: Overrides = None,
+    preset: Preset = None,
+    max_period: Annotated[int, typer.Option(help="Most steps after which the pattern must recur.")] = 1000,
+    round_flow: Annotated[bool, typer.Option("--round-flow", help="Take the nearest flow that recurs.")] = False,
+    maps: Annotated[
+        list[str] | None, typer.Option("--map", help="KEY=FROM:TO:COUNT; give two for a map of growth.")
+    ] = None,
+    names: Annotated[
+        list[str] | None, typer.Option("--filters", help="Panels of the map, for example local,order:2,exact.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Folder for stability.json, or the map; default runs/...")
+    ] = None,
+) -> None:
+    """Compute by how much a scene's scheme grows per step, and when rounding noise blows it up."""
+    comm = start()
+    from mpipic.errors import NotConverged
+    from mpipic.scene import SceneError
+
+    try:
+        loaded = _load(scene, set_, comm, preset)
+        from mpipic import stability as verb
+        from mpipic import stability_map
+        from mpipic.console import Console
+        from mpipic.filter_choice import choose
+        from mpipic.output import OutputError, RunDirectory
+
+        try:
+            if maps:
+                axes = [stability_map.parse_axis(text) for text in maps]
+                own = loaded.filter.kind
+                choices = choose(names or [own], loaded, loaded.particle_count or 0, unfiltered=True)
+                folder = output or RunDirectory.default(f"{loaded.name}-stability", comm)
+                stability_map.run(loaded, axes, choices, comm, Console(comm), folder, max_period)
+            else:
+                if round_flow:
+                    loaded = stability_map.with_flow(loaded, max_period)
+                verb.run(loaded, comm, Console(comm), output, max_period)
+        except OutputError as error:
+            raise _refuse(str(error), comm) from None
+        except NotConverged as error:
+            raise _refuse(str(error), comm, NOT_CONVERGED) from None
+    except SceneError as error:
+        raise _refuse(str(error), comm) from None
+
+
+@app.command()
 def bench(
     dim: Annotated[list[int] | None, typer.Option(help="Dimension to time; repeatable. Default: 1 2 3.")] = None,
     particles: Annotated[float, typer.Option(help="Particles, about.")] = 1e7,

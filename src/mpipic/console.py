@@ -182,7 +182,7 @@ class Console:
         from rich.text import Text
 
         table = Table(title=title, box=SIMPLE_HEAD, title_justify="left", pad_edge=False)
-        words = {"of", "phase", "phases", "filter", "scheme", "resolution", "status"}
+        words = {"of", "phase", "phases", "filter", "scheme", "resolution"}
         for name in header:
             table.add_column(name, justify="left" if name in words else "right", no_wrap=True)
         for row in rows:

@@ -27,8 +27,10 @@ def svd_is_quick(nodes: int, particles: int) -> bool:
     return float(nodes) * float(min(nodes, particles)) * particles <= SVD_WORK
 
 
-def choose(texts: Sequence[str], scene: Scene, particles: int) -> list[Choice]:
+def choose(texts: Sequence[str], scene: Scene, particles: int, unfiltered: bool = False) -> list[Choice]:
     """The filters that `texts` name; without any, the usual ones, the scene's own, and svd where it is quick.
+
+    `unfiltered`: whether none may be among them.
 
     Raises
     ------
@@ -41,14 +43,14 @@ def choose(texts: Sequence[str], scene: Scene, particles: int) -> list[Choice]:
         svd = ["svd"] if svd_is_quick(scene.cell_count, particles) else []
         names = list(dict.fromkeys([*USUAL, *([] if own in ("none", "svd") else [own]), *svd]))
     problems: list[Problem] = []
-    chosen = [_parse(name, scene, problems) for name in names]
+    chosen = [_parse(name, scene, unfiltered, problems) for name in names]
     if problems:
         raise SceneError(problems)
     return [choice for choice in chosen if choice is not None]
 
 
-def _parse(name: str, scene: Scene, problems: list[Problem]) -> Choice | None:
-    kinds = tuple(kind for kind in available("filter.kind") if kind != "none")
+def _parse(name: str, scene: Scene, unfiltered: bool, problems: list[Problem]) -> Choice | None:
+    kinds = tuple(kind for kind in available("filter.kind") if kind != "none" or unfiltered)
     kind, colon, order = name.partition(":")
     if kind not in kinds:
         rule = "must be one of " + ", ".join(kinds) + ", with an order after order and chebyshev, for example order:5"

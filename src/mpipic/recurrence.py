@@ -83,9 +83,11 @@ def nearest_flows(scene: Scene, most: int, count: int = 3) -> list[tuple[float, 
     flow = scene.gas.flow
     found: dict[tuple[float, ...], float] = {}
     for period in range(1, most + 1):
-        near = tuple(
-            unit * float(Fraction(round(v / unit * period), period)) for v, unit in zip(flow, units, strict=True)
-        )
-        if all((v == 0) == (w == 0) for v, w in zip(flow, near, strict=True)):
-            found[near] = max(abs(v - w) for v, w in zip(flow, near, strict=True))
+        near = tuple(unit * _nearest(v / unit, period) for v, unit in zip(flow, units, strict=True))
+        found[near] = max(abs(v - w) for v, w in zip(flow, near, strict=True))
     return sorted(found, key=lambda near: found[near])[:count]
+
+
+def _nearest(move: float, period: int) -> float:
+    """The multiple of 1 / period nearest to `move`; not 0 unless `move` is."""
+    return float(Fraction(round(move * period) or int(np.sign(move)), period))

@@ -7,6 +7,7 @@ the grid recurs, so those T steps are one linear map M of the particle values, a
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -16,12 +17,15 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from mpipic.console import Console
 from mpipic.errors import NotConverged
 from mpipic.filters import ExactFilter
 from mpipic.grid import FloatArray
 from mpipic.mapping import Mapping
 from mpipic.migration import Routes
+from mpipic.output import RunDirectory, plain, replacing
 from mpipic.recurrence import Recurrence, find
+from mpipic.runner import versions
 from mpipic.scene import Scene
 from mpipic.simulation import Simulation
 
@@ -271,11 +275,15 @@ def report(growth: Growth, scene: Scene) -> list[tuple[str, str]]:
     ]
 
 
-def content(growth: Growth, scene: Scene) -> dict[str, Any]:
-    """What stability.json holds."""
-    return {**asdict(growth), "scene": scene.to_dict()}
-
-
-def default_folder(scene: Scene) -> Path:
-    """Where results go unless told otherwise."""
-    return Path("runs") / f"{scene.name}-stability"
+def run(scene: Scene, comm: MPI.Comm, console: Console, output: Path | None, most_steps: int) -> Growth:
+    """Analyse, print, and write stability.json into the folder `output`. Collective."""
+    growth = analyse(scene, comm, most_steps)
+    console.banner(report(growth, scene))
+    folder = output or RunDirectory.default(f"{scene.name}-stability", comm)
+    if comm.rank == 0:
+        folder.mkdir(parents=True, exist_ok=True)
+        with replacing(folder / "stability.json") as temporary:
+            content = plain({**asdict(growth), "scene": scene.to_dict(), "versions": versions()})
+            temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    console.message(f"results in {folder}")
+    return growth

@@ -226,7 +226,7 @@ def _note(study: Study, rows: Sequence[Row]) -> str:
 
 def _say(study: Study, rows: Sequence[Row], console: Console) -> None:
     norm = study.settings.error.replace(".", " ")
-    header = ("scheme", "resolution", "status", norm, "seconds", "from..to", "10^6 steps/s", "MB", "front")
+    header = ("scheme", "resolution", norm, "seconds", "from..to", "MB", "front")
     console.table(study.title, header, [_cells(row) for row in rows])
     found = orders(rows)
     if found:
@@ -251,10 +251,9 @@ def _warn_of_mixture(runs: Sequence[Sequence[Any]], console: Console) -> None:
 
 
 def _cells(row: Row) -> list[str]:
-    spent, rate, memory = row.seconds, row.rate, row.peak_memory
+    spent, memory, point = row.seconds, row.peak_memory, row.point
     return [
-        row.point.scheme, row.point.resolution, row.status,
-        "-" if row.error is None else f"{row.error:.3e}",
+        point.scheme, point.resolution.replace(" x ", "x"), row.status if row.error is None else f"{row.error:.3e}",
         f"{spent.median:.3g}" if spent else "-", f"{spent.least:.3g}..{spent.largest:.3g}" if spent else "-",
-        f"{1e-6 * rate:.3g}" if rate else "-", f"{1e-6 * memory:.0f}" if memory else "-", "*" if row.on_front else "",
+        f"{1e-6 * memory:.0f}" if memory else "-", "*" if row.on_front else "",
     ]  # fmt: skip
