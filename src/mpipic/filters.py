@@ -72,6 +72,7 @@ class Filter(ABC):
 
     def forget(self) -> None:
         """Begin every series anew. Local."""
+        return
 
     def facts(self) -> dict[str, Any]:
         """What the filter found out about itself at its present positions, for reports."""

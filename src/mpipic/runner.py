@@ -14,6 +14,7 @@ from mpipic import advice
 from mpipic.console import Console, Progress
 from mpipic.diagnostics import ErrorReport
 from mpipic.errors import NotConverged
+from mpipic.limits import cfl_limit
 from mpipic.output import ERROR_PLOT, PARTICLES, SOLUTION_PLOT, ParticleSeries, RunDirectory
 from mpipic.phases import Phases
 from mpipic.runtime import StopRequest
@@ -79,7 +80,12 @@ def run(scene: Scene, comm: MPI.Comm, output: Path | None, overwrite: bool, cons
     path = output if output is not None else RunDirectory.default(scene.name, comm)
     directory = RunDirectory(path, comm, overwrite)
     directory.write_scene(scene)
-    console.banner(banner(simulation, path))
+    phases("compile")
+    limit = cfl_limit(scene, comm)
+    phases("other")
+    console.banner(banner(simulation, path, limit))
+    if limit is not None and scene.cfl > limit:
+        console.warning(f"CFL {scene.cfl:.4g} is above {limit:.4g}, the limit of this scheme: sound waves will grow")
     stop = StopRequest()
     with console.progress(scene.time.steps) as progress:
         recorder = Recorder(simulation, directory, progress)
@@ -94,7 +100,7 @@ def run(scene: Scene, comm: MPI.Comm, output: Path | None, overwrite: bool, cons
     seconds = {"total": perf_counter() - began, "setup": phases.total("setup", "compile")}
     directory.write_history(recorder.rows)
     directory.write_summary(summary(simulation, outcome, recorder.reports, seconds))
-    _say(console, outcome, simulation, recorder)
+    _say(console, outcome, simulation, recorder, limit)
     if plots and outcome.status != "interrupted":
         phases("pictures")
         _draw(directory, simulation, outcome, recorder)
@@ -106,19 +112,24 @@ def run(scene: Scene, comm: MPI.Comm, output: Path | None, overwrite: bool, cons
     return EXIT_CODES[outcome.status]
 
 
-def banner(simulation: Simulation, path: Path) -> list[tuple[str, str]]:
-    """What is about to run, as (name, value) lines."""
+def banner(simulation: Simulation, path: Path, limit: float | None = None) -> list[tuple[str, str]]:
+    """What is about to run, as (name, value) lines; `limit`: the scheme's CFL limit where it is known."""
     scene, grid = simulation.scene, simulation.grid
     built, left_out = advice.parts(scene)
     ranks = f"{grid.size}, as {' x '.join(map(str, grid.blocks))} blocks" if grid.size > 1 else "1"
     per_cell = simulation.total / grid.node_count
-    courant = f"CFL {scene.cfl:.4g}, flow {max(map(abs, scene.gas.flow)) * scene.dt / min(grid.h):.3g} cells a step"
+    bound = "" if limit is None else f" (limit {limit:.3g})"
+    courant = (
+        f"CFL {scene.cfl:.4g}{bound}, flow {max(map(abs, scene.gas.flow)) * scene.dt / min(grid.h):.3g} cells a step"
+    )
     return [
         ("scene", scene.name),
         ("grid", dict(built)["grid"]),
         ("particles", f"{simulation.total:,}, {per_cell:.3g} a cell, layout {scene.particles.layout}"),
         ("ranks", ranks),
+        ("mapping", dict(built)["mapping"]),
         ("filter", dict(built)["filter"]),
+        ("step", dict(built)["step"]),
         ("steps", f"{scene.time.steps} of dt = {scene.dt:.6g}: {courant}"),
         ("left out", ", ".join(left_out)),
         ("output", str(path)),
@@ -169,7 +180,7 @@ def versions() -> dict[str, str]:
     return {**found, "python": platform.python_version(), "mpi": library, "machine": platform.machine()}
 
 
-def _say(console: Console, outcome: Outcome, simulation: Simulation, recorder: Recorder) -> None:
+def _say(console: Console, outcome: Outcome, simulation: Simulation, recorder: Recorder, limit: float | None) -> None:
     console.error_table(recorder.reports)
     if outcome.status == "interrupted":
         console.warning(f"interrupted after step {outcome.step}; what was recorded until then is complete")
@@ -179,6 +190,17 @@ def _say(console: Console, outcome: Outcome, simulation: Simulation, recorder: R
             f"unstable: |density| = {bad.value:.3g} passed {simulation.limit:.3g} at step {bad.step}, "
             f"t = {bad.step * scene.dt:.6g}, in cell {list(bad.cell)} on rank {bad.rank}; CFL {scene.cfl:.4g}"
         )
+        console.message(_blame(scene, limit))
+
+
+def _blame(scene: Scene, limit: float | None) -> str:
+    """What made a run unstable, and which setting would hold."""
+    if limit is not None and scene.cfl > limit:
+        return f"cause: the time step; the scheme takes CFL up to {limit:.3g}: try time.cfl={0.9 * limit:.2g}"
+    cause = "cause: null-space noise, which grows as particles cross cells; mpipic stability computes how fast"
+    advice = ["filter.kind=local delays it"] if scene.filter.kind == "none" else []
+    advice += [] if scene.mapping.mass == "penalised" else ["--preset recommended avoids it"]
+    return "; ".join([cause, *advice])
 
 
 def _at_least_a_millisecond(seconds: dict[str, float]) -> dict[str, float]:

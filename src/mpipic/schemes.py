@@ -18,17 +18,19 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from mpi4py import MPI
 
 from mpipic.filters import Filter, NodalFilter
-from mpipic.gram import GramSolver, Penalty
 from mpipic.grid import FloatArray, Grid
 from mpipic.grid_operators import CentralDifference, LowPass
 from mpipic.mapping import Mapping, NodalMapping
 from mpipic.sweep import ParticleSweep, SplineSweep
+
+if TYPE_CHECKING:
+    from mpipic.gram import Penalty
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,7 @@ class Mass(ABC):
 
     def forget(self) -> None:
         """Begin every series anew. Local."""
+        return
 
     @property
     def nbytes(self) -> int:
@@ -85,6 +88,8 @@ class LeastSquaresMass(Mass):
     """
 
     def __init__(self, mapping: NodalMapping, tolerance: float, penalty: Penalty | None = None) -> None:
+        from mpipic.gram import GramSolver
+
         self.solver = GramSolver(mapping, tolerance, "mass_", penalty)
         self.penalised = penalty is not None
 
@@ -140,6 +145,7 @@ class Slopes(ABC):
 
     def forget(self) -> None:
         """Begin every series anew. Local."""
+        return
 
     @property
     def nbytes(self) -> int:
@@ -477,4 +483,6 @@ class PlainScheme(Rates):
 
 def penalty_of(settings: Any) -> Penalty | None:
     """The penalty that a record like the scene's [mapping] section asks for."""
+    from mpipic.gram import Penalty
+
     return Penalty(settings.penalty, settings.penalty_order) if settings.mass == "penalised" else None
