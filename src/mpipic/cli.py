@@ -280,6 +280,21 @@ def stability(
 
 
 @app.command()
+def stress(
+    short: Annotated[bool, typer.Option("--short", help="Only the cases that take no time.")] = False,
+    only: Annotated[list[str] | None, typer.Option(help="Cases whose name contains this; repeatable.")] = None,
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="Write the table as JSON too.")] = None,
+) -> None:
+    """Run stiff and extreme cases, and judge each: a right answer, a stated end, or a refusal with a reason."""
+    comm = start()
+    from mpipic import stress as verb
+    from mpipic.console import Console
+
+    judged = verb.run(comm, Console(comm), output, short, only)
+    raise typer.Exit(1 if any(item.verdict != "good" for item in judged) else 0)
+
+
+@app.command()
 def bench(
     dim: Annotated[list[int] | None, typer.Option(help="Dimension to time; repeatable. Default: 1 2 3.")] = None,
     particles: Annotated[float, typer.Option(help="Particles, about.")] = 1e7,

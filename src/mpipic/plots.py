@@ -148,7 +148,7 @@ def draw_work_precision(path: Path | str, points: Sequence[Any], title: str, err
     """
     with _figure(path, (9.6, 5.4)) as figure:
         axes = figure.add_subplot(xscale="log", yscale="log", ylabel=error)
-        axes.set_title(title, pad=14)
+        axes.set_title(title.replace("$", r"\$"), pad=14)
         axes.set_xlabel("seconds of stepping" + (f"\n{note}" if note else ""))
         front = sorted((p.seconds, p.error) for p in points if p.on_front)
         if front:
@@ -156,9 +156,9 @@ def draw_work_precision(path: Path | str, points: Sequence[Any], title: str, err
             axes.plot(*zip(*front), drawstyle="steps-post", label="Pareto front:\nfilled markers", **band)
         cross: dict[str, Any] = {"ls": "", "marker": "X", "ms": 10, "mec": "white"}
         for number, scheme in enumerate(dict.fromkeys(p.scheme for p in points)):
-            style = {**_line(number), "ms": 6.0}
+            style = {**_line(number), "marker": "osv^D<>p"[number % 8], "ms": 6.0}
             color = style["color"]
-            axes.plot([], [], label=scheme, **style)
+            axes.plot([], [], label=scheme.replace("$", r"\$"), **style)
             mine = [p for p in points if p.scheme == scheme]
             for line in dict.fromkeys(p.line for p in mine):
                 known = [(p.seconds, p.error) for p in mine if p.line == line and p.error]

@@ -87,7 +87,10 @@ class Point:
 
 
 def fit_steps(until: float, dt: float) -> tuple[int, float]:
-    """The fewest steps of at most `dt`, and their dt, for which steps times dt is `until` to the last bit."""
+    """The fewest steps of at most `dt`, and their dt, for which steps times dt is `until` to the last bit.
+
+    About half of all numbers of steps have such a dt, so that a few steps may be added.
+    """
     fewest = max(1, math.ceil(until / dt * (1 - 1e-12)))
     for steps in range(fewest, fewest + 1000):
         near = until / steps

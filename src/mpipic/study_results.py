@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 import statistics
 import sys
 from collections.abc import Sequence
@@ -109,7 +110,8 @@ def row_of(point: Point, runs: Sequence[Record], norm: str) -> Row:
     if first.get("errors"):
         row.errors = {quantity: first["errors"][quantity] for quantity in QUANTITIES}
         quantity, measure = norm.split(".")
-        row.error = row.errors[quantity][measure]
+        error = row.errors[quantity][measure]
+        row.error = error if error is not None and math.isfinite(error) else None
     return row
 
 

@@ -195,6 +195,7 @@ class Records:
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
+            self._file.close()
             raise OutputError(f"another study is writing to {folder}: wait for it, or name another --output") from None
         except OSError:
             pass  # a file system without locks
