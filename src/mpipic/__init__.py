@@ -9,7 +9,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from mpipic.filters import FILTERS, LocalFilter
+    from mpipic.errors import NotConverged
+    from mpipic.filters import FILTERS, ChebyshevFilter, ExactFilter, LocalFilter, OrderFilter, SvdFilter
     from mpipic.grid import Grid
     from mpipic.mapping import Mapping
     from mpipic.migration import Placement
@@ -20,7 +21,12 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "FILTERS": "filters",
+    "ChebyshevFilter": "filters",
+    "ExactFilter": "filters",
     "LocalFilter": "filters",
+    "OrderFilter": "filters",
+    "SvdFilter": "filters",
+    "NotConverged": "errors",
     "Grid": "grid",
     "Mapping": "mapping",
     "Placement": "migration",
@@ -29,7 +35,21 @@ _HOMES = {
     "Simulation": "simulation",
 }
 
-__all__ = ["FILTERS", "Grid", "LocalFilter", "Mapping", "Placement", "Scene", "SceneError", "Simulation"]
+__all__ = [
+    "FILTERS",
+    "ChebyshevFilter",
+    "ExactFilter",
+    "Grid",
+    "LocalFilter",
+    "Mapping",
+    "NotConverged",
+    "OrderFilter",
+    "Placement",
+    "Scene",
+    "SceneError",
+    "Simulation",
+    "SvdFilter",
+]
 
 
 def __getattr__(name: str) -> Any:
