@@ -157,5 +157,7 @@ class ReferenceScheme:
 
     def step(self) -> None:
         """One time step."""
-        self._plain.step(self._carrier.begin().state)
+        particles = self._carrier.begin()
+        with np.errstate(over="ignore", invalid="ignore"):  # of a run that blows up, which is found and stated
+            self._plain.step(particles.state)
         self._carrier.end()

@@ -11,6 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from mpipic import filters
 from mpipic.filters import Filter, NodalFilter
 from mpipic.grid import FloatArray
@@ -158,7 +160,8 @@ class ReferenceEuler:
     def step(self) -> None:
         """One time step; u is used at t, ρ at t + dt."""
         particles = self._carrier.begin()
-        self._plain.step(particles.field("density"), particles.field("velocity"))
+        with np.errstate(over="ignore", invalid="ignore"):  # of a run that blows up, which is found and stated
+            self._plain.step(particles.field("density"), particles.field("velocity"))
         self._carrier.end()
 
 

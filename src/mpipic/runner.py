@@ -94,6 +94,7 @@ def run(scene: Scene, comm: MPI.Comm, output: Path | None, overwrite: bool, cons
         except NotConverged:
             recorder.close()
             directory.write_history(recorder.rows)
+            stop.release()
             raise
     phases("output")
     recorder.close()

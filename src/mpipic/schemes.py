@@ -411,9 +411,10 @@ class NodalScheme(Rates):
         sweep.phase("filter")
         start = np.concatenate([self.mass.fields(rho_sums, "density"), self.mass.fields(u_sums, "velocity")], axis=1)
         sweep.phase("nodes")
-        change, end = self.integrate(self, start, self.dt)
-        if self.damping is not None:
-            change += self.damping.change(end)
+        with np.errstate(over="ignore", invalid="ignore"):  # of a run that blows up, which is found and stated
+            change, end = self.integrate(self, start, self.dt)
+            if self.damping is not None:
+                change += self.damping.change(end)
         sweep.advance(np.ascontiguousarray(change), (1.0, 1.0), direct=self.slopes.direct)
 
 

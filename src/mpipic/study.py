@@ -66,15 +66,11 @@ def run(
     fresh, retry : forget every run of before, or those that failed
     command : what reproduces the study, for its page
 
-    Raises
-    ------
-    SceneError, OutputError
-        Before anything runs.
+    Raises SceneError or OutputError before anything runs.
     """
     wanted = parse_aims(aims)
     study = load(path)
-    if launcher() is None and any(point.ranks > 1 for point in study.points):
-        raise SceneError([Problem("ranks", None, "needs mpiexec, and there is none; name one by MPIPIC_MPIEXEC")])
+    _check_launcher(study)
     folder = output or Path("runs") / study.name
     records = _open(folder, fresh)
     try:
@@ -95,6 +91,11 @@ def run(
         console.warning("interrupted; the same command goes on from here")
         return INTERRUPTED
     return 0 if any(row.status in (COMPLETED, UNSTABLE) for row in rows) else NOTHING_CAME_OF_IT
+
+
+def _check_launcher(study: Study) -> None:
+    if launcher() is None and any(point.ranks > 1 for point in study.points):
+        raise SceneError([Problem("ranks", None, "needs mpiexec, and there is none; name one by MPIPIC_MPIEXEC")])
 
 
 def _open(folder: Path, fresh: bool) -> Records:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -58,12 +59,19 @@ SCENES: dict[str, tuple[list[str], list[str]]] = {
     "set-without-section": (overrides("steps=4"), ["--set steps=4: must have the form section.key=value"]),
     "set-bad-toml": (overrides("grid.cells=[4"), ["--set grid.cells=[4: the value is not valid TOML"]),
     "not-yet": (
-        overrides("filter.kind=svd", "mapping.basis=cubic", "time.integrator=rk4", "output.checkpoint_every=5"),
+        overrides("particles.layout=clustered", "output.checkpoint_every=5"),
         [
-            'filter.kind = "svd": not available yet; must be one of none, local, order, chebyshev',
-            'mapping.basis = "cubic": not available yet; must be linear',
-            'time.integrator = "rk4": not available yet; must be symplectic',
+            'particles.layout = "clustered": not available yet; must be one of lattice, jittered, random, file',
             "output.checkpoint_every = 5: not available yet; must be 0",
+        ],
+    ),
+    "svd-too-large": (
+        overrides("filter.kind=svd", "grid.cells=[100000]"),
+        [
+            'filter.kind = "svd": svd of 100000 nodes and 200000 particles needs about ',
+            " GB on ",
+            " GB are free",
+            'filter.kind = "exact" is the same operator and takes memory in proportion to nodes',
         ],
     ),
     "misspelt": (overrides("filter.kind=locl"), ['Did you mean "local"?']),
@@ -185,8 +193,20 @@ def test_more_ranks_than_cells_are_refused_with_the_nearest_number(said: Said, v
 
 
 def test_mistakes_that_can_be_found_together_are_reported_together(said: Said) -> None:
-    for name, count in (("check-not-yet", 4), ("check-zero-and-negative", 3), ("run-particles-wrong-in-many-ways", 3)):
+    for name, count in (("check-not-yet", 2), ("check-zero-and-negative", 3), ("run-particles-wrong-in-many-ways", 3)):
         assert len(said(1, name).err[0].splitlines()) == count
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("ranks", [1, 2])
+@pytest.mark.parametrize("verb", ["check", "run"])
+def test_a_decomposition_that_would_not_fit_is_refused_in_one_line_that_names_the_numbers(
+    said: Said, verb: str, ranks: int
+) -> None:
+    (line,) = said(ranks, f"{verb}-svd-too-large").err[0].splitlines()
+    needed, free = map(float, re.findall(r"([\d.e+]+) GB", line))
+    assert needed > 8e-9 * 1e5 * 3e5, "both bases, once"
+    assert 0.05 < free < needed
 
 
 def test_results_of_another_run_are_untouched_by_a_refusal(said: Said) -> None:
@@ -206,9 +226,10 @@ def test_a_refused_scene_overwrites_nothing(said: Said, ranks: int) -> None:
 
 @pytest.mark.mpi
 def test_mpiexec_ends_with_code_2_and_the_message_once() -> None:
-    ended = mpipic("run", "--set", "filter.kind=svd", ranks=2, timeout=30)
+    ended = mpipic("run", "--set", "particles.layout=clustered", ranks=2, timeout=30)
     assert ended.returncode == 2 and ended.stdout.count("not available") == 0
-    assert ended.stderr.count('filter.kind = "svd": not available yet') == 1 and "Traceback" not in ended.stderr
+    assert ended.stderr.count('particles.layout = "clustered": not available yet') == 1
+    assert "Traceback" not in ended.stderr
 
 
 USAGE = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -15,7 +16,7 @@ PAPER = str(TESTS.parent / "configs" / "paper.toml")
 
 
 def modules(folder: Path, ranks: int, *arguments: str) -> list[set[str]]:
-    """What each rank has imported after `mpipic arguments`."""
+    """What each rank has imported after `mpipic arguments`; what was printed goes to the file `printed`."""
     place = folder / "modules"
     place.mkdir()
     if ranks == 1:
@@ -23,6 +24,7 @@ def modules(folder: Path, ranks: int, *arguments: str) -> list[set[str]]:
     else:
         ended = run_ranks(ranks, MODULES, str(place), *arguments, timeout=90)
     assert ended.returncode == 0, ended.stdout + ended.stderr
+    (folder / "printed").write_text(ended.stdout)
     return [set((place / str(rank)).read_text().split()) for rank in range(ranks)]
 
 
@@ -34,6 +36,34 @@ def test_the_paper_scene_imports_neither_slepc_nor_h5py_nor_with_no_plots_matplo
     (found,) = run(tmp_path, 1, "--no-plots")
     assert {"numpy", "mpi4py", "petsc4py", "numba", "rich"} <= found
     assert found.isdisjoint({"slepc4py", "h5py", "matplotlib", "pandas"})
+
+
+SOLVERS = {"slepc4py", "mpipic.gram", "mpipic.singular"}
+# kind of filter: what it imports of SOLVERS, and what PETSc and SLEPc build for it
+BUILT: dict[str, tuple[set[str], set[str]]] = {
+    "none": (set(), set()),
+    "local": (set(), set()),
+    "order": (set(), set()),
+    "chebyshev": (set(), set()),
+    "exact": ({"mpipic.gram"}, {"Krylov Solver", "Matrix"}),
+    "svd": ({"slepc4py", "mpipic.singular"}, {"SVD Solver", "Matrix"}),
+}
+
+
+@pytest.mark.parametrize("kind", BUILT)
+def test_a_scene_imports_and_builds_the_solvers_of_its_filter_and_no_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    """Without reports, that is: a report on the share that no node sees solves for it."""
+    monkeypatch.setenv("PETSC_OPTIONS", "-log_view")  # lists, at the end, what kinds of objects there were
+    more = ["--set", f"filter.kind={kind}", "--set", "time.steps=4", "--set", "output.report_at=[]"]
+    (found,) = run(tmp_path, 1, "--no-plots", *more)
+    objects = set(re.findall(r"^ +(\w[\w ]*?) +\d+ +\d+$", (tmp_path / "printed").read_text(), re.MULTILINE))
+    assert "Star Forest Graph" in objects, "every scene has one"
+    imported, built = found & SOLVERS, objects & {"Krylov Solver", "SVD Solver", "Matrix"}
+    if kind == "svd":  # its CFL limit is that of the exact filter, the same operator, and found with that
+        imported, built = imported - {"mpipic.gram"}, built - {"Krylov Solver"}
+    assert (imported, built) == BUILT[kind]
 
 
 @pytest.mark.mpi

@@ -5,11 +5,11 @@ import pytest
 
 from dense_helpers import close
 from run_helpers import run_scene, scene_of
-from serial_helpers import by_id
+from serial_helpers import SETTINGS, by_id
 
 BOXES = {1: [32], 2: [12, 10], 3: [6, 5, 4]}
 every_dimension = pytest.mark.parametrize("dim", [1, 2, 3])
-every_kind = pytest.mark.parametrize("kind", ["none", "local"])
+every_kind = pytest.mark.parametrize("kind", ["none", "local", "exact"])
 
 
 def scene(dim, kind="local", flow=(0.3, -0.2, 0.1), layout="lattice", steps=100, **sections):
@@ -19,7 +19,7 @@ def scene(dim, kind="local", flow=(0.3, -0.2, 0.1), layout="lattice", steps=100,
         particles={"layout": layout, "per_cell": per_cell},
         gas={"flow": list(flow[:dim])},
         initial={"sharpness": 20.0},
-        filter={"kind": kind},
+        filter={"kind": kind, **SETTINGS.get(kind, {})},
         time={"cfl": 0.1, "steps": steps},
         **sections,
     )

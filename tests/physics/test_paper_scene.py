@@ -5,6 +5,8 @@ import pytest
 from run_helpers import run_scene, scene_of
 
 LOCAL = {100: "3.6228e-03", 600: "1.4035e-02", 700: "1.5562e-02", 1000: "2.2561e-02", 5000: "8.8728e-02"}
+GLOBAL = {100: "2.6165e-03", 600: "7.6481e-03", 700: "8.6047e-03", 1000: "1.1893e-02"}
+EXACT = {"kind": "exact", "tolerance": 1e-13}
 
 
 @pytest.fixture(scope="module")
@@ -21,6 +23,11 @@ def unfiltered():
 def second_order():
     reports = [600, 700, 1000, 5000]
     return run_scene(scene_of(filter={"kind": "order"}, time={"steps": 5000}, output={"report_at": reports}))
+
+
+@pytest.fixture(scope="module")
+def exact():
+    return run_scene(scene_of(filter=EXACT, time={"steps": 5000}, output={"report_at": list(GLOBAL)}))
 
 
 def l2(run, step):
@@ -64,3 +71,31 @@ def test_order_2_halves_the_error_of_the_local_filter_and_completes_5000_steps(s
     assert found == ["7.6907e-03", "8.6412e-03", "1.1965e-02"]
     assert f"{l2(second_order, 5000):.2e}" == "5.54e-02"
     assert l2(second_order, 1000) < 0.6 * l2(filtered, 1000)
+
+
+@pytest.mark.parametrize("step", GLOBAL)
+def test_the_exact_projection_gives_the_errors_of_the_table(exact, step):
+    assert f"{l2(exact, step):.4e}" == GLOBAL[step]
+
+
+def test_the_papers_svd_filter_gives_the_errors_of_the_table():
+    """Those of the exact projection, which is the same operator."""
+    run = run_scene(scene_of(filter={"kind": "svd"}, output={"report_at": list(GLOBAL)}))
+    assert {step: f"{l2(run, step):.4e}" for step in GLOBAL} == GLOBAL
+
+
+def ends_unstable_between_3000_and_5000(run):
+    _, outcome, reports = run
+    assert outcome.status == "unstable" and 3000 < outcome.step < 5000
+    assert outcome.blow_up.step == outcome.step
+    assert reports.peaks[max(step for step in reports.peaks if step <= 3000)] < 1.0
+
+
+def test_the_exact_projection_ends_unstable_between_steps_3000_and_5000(exact):
+    """It removes what the nodes do not see and leaves all else, which grows: from rounding, so the step differs."""
+    ends_unstable_between_3000_and_5000(exact)
+
+
+@pytest.mark.slow
+def test_the_papers_svd_filter_ends_unstable_between_steps_3000_and_5000():
+    ends_unstable_between_3000_and_5000(run_scene(scene_of(filter={"kind": "svd"}, time={"steps": 5000})))

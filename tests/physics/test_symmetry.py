@@ -6,9 +6,9 @@ import pytest
 
 from dense_helpers import close, pattern, run_euler
 from run_helpers import run_scene, scene_of
-from serial_helpers import by_id
+from serial_helpers import SETTINGS, by_id
 
-every_kind = pytest.mark.parametrize("kind", ["none", "local"])
+every_kind = pytest.mark.parametrize("kind", ["none", "local", "exact"])
 
 
 def final_state(scene):
@@ -28,7 +28,7 @@ def test_every_row_of_plane_data_along_x_is_the_scene_in_1d(kind, dim, across):
             particles={"per_cell": per_cell},
             gas={"flow": [0.05, across, -across][:d], "density": 1.5, "sound_speed": 1.2},
             initial={"profile": "plane-gaussian", "wave": [1, 0, 0][:d]},
-            filter={"kind": kind},
+            filter={"kind": kind, **SETTINGS.get(kind, {})},
             time={"dt": 2e-3, "steps": 120},
         )
 
@@ -53,7 +53,7 @@ def file_scene(path, kind, cells, length, flow, position, density, velocity, ste
         particles={"layout": "file", "path": str(path)},
         gas={"flow": list(map(float, flow)), "density": 1.7, "sound_speed": 1.3},
         initial={"profile": "file"},
-        filter={"kind": kind},
+        filter={"kind": kind, **SETTINGS.get(kind, {})},
         time={"dt": 0.03, "steps": steps},
     )
 

@@ -169,3 +169,63 @@ def test_on_a_sweep_a_filter_has_the_coefficients_that_it_has_on_a_mapping(kind)
         for mapping in (sweep_of(grid, position), Mapping(grid, position))
     )
     close(on_sweep, on_mapping, allowed(kind, 1e-13))
+
+
+# ---------------------------------------------------------------- particles of different weight
+
+
+def weighted_case(box, name, kind, uniform=None):
+    """Weights from 0.1 to 10, or one for all."""
+    cells, length = GRIDS[box]
+    position = pattern(name, cells, length)
+    weight = 10.0 ** np.random.default_rng(2).uniform(-1.0, 1.0, len(position))
+    if uniform is not None:
+        weight = np.full(len(position), uniform)
+    mapping = Mapping(grid_of(cells, length), position, weight)
+    return make(kind, mapping), Dense(cells, length, position, weight), weight
+
+
+@every_kind
+@every_grid
+@every_pattern
+def test_with_weights_a_filter_is_its_weighted_formula(kind, box, name):
+    filter_, dense, weight = weighted_case(box, name, kind)
+    q = noise(len(weight))
+    scale = np.abs(q).max() * np.sqrt(weight.max() / weight.min())
+    close(filter_.apply(q), dense.filter(kind) @ q, allowed(kind, 1e-12), scale=scale)
+
+
+@every_kind
+@every_grid
+@every_pattern
+def test_with_weights_a_filter_conserves_the_weighted_sum_and_keeps_constants(kind, box, name):
+    filter_, _, weight = weighted_case(box, name, kind)
+    q = noise(len(weight), 2) + 0.1
+    kept = weight @ filter_.apply(q)
+    assert kept == pytest.approx(weight @ q, abs=allowed(kind, 1e-13) * (weight @ np.abs(q)).max())
+    close(filter_.apply(np.ones(len(weight))), np.ones(len(weight)), allowed(kind, 1e-13), scale=10.0)
+
+
+@every_kind
+@pytest.mark.parametrize("box", ["1D", "2D", "3D"])
+@pytest.mark.parametrize("uniform", [1.0, 2.5])
+def test_equal_weights_are_as_good_as_none_and_different_ones_are_not(kind, box, uniform):
+    filter_, _, weight = weighted_case(box, "random", kind, uniform)
+    plain = make(kind, Mapping(filter_.mapping.grid, pattern("random", *GRIDS[box])))
+    q = noise(len(weight))
+    close(filter_.apply(q), plain.apply(q), allowed(kind, 1e-13))
+    different = weighted_case(box, "random", kind)[0]
+    assert np.abs(different.apply(q) - plain.apply(q)).max() > 0.05
+
+
+@every_kind
+def test_a_filter_follows_weights_that_change(kind):
+    cells, length = GRIDS["2D"]
+    filter_, _, weight = weighted_case("2D", "random", kind)
+    position = pattern("random", cells, length)
+    q = noise(len(weight))
+    filter_.apply(q)
+    for weights in (weight[::-1].copy(), None):
+        filter_.mapping.update(position, weights)
+        wanted = Dense(cells, length, position, weights).filter(kind) @ q
+        close(filter_.apply(q), wanted, allowed(kind, 1e-12), scale=10.0)

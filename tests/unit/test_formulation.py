@@ -176,3 +176,19 @@ def test_without_flow_the_particles_stay_and_with_it_they_move(dim):
         sweep = take_fused_steps("local", grid, *particles, move, rates_of(cells, length), 3)
         moved = by_id(sweep.particles)[0]
         assert np.array_equal(moved, particles[0]) == (not move.any())
+
+
+@every_dimension
+@pytest.mark.parametrize("name", ["few", "one"])
+@pytest.mark.parametrize("uniform", [True, False])
+def test_guesses_of_earlier_steps_do_not_wear_out_where_nodes_outnumber_particles(dim, name, uniform):
+    """The matrix is singular, and the right-hand side at times no more than rounding."""
+    cells, length, position, density, velocity, displacement = case(dim, name, "slow")
+    if uniform:
+        density, velocity = np.full_like(density, 2.0), np.full_like(velocity, -3.0)
+    sweep = sweep_of(grid_of(cells, length), position, density, velocity, 0.01 * np.pi * displacement)
+    settings = SimpleNamespace(kind="exact", tolerance=1e-10)
+    formulation = symplectic(sweep, Rates(*rates_of(cells, length, cfl=0.02)), settings)
+    for _ in range(150):
+        formulation.step()
+    assert np.isfinite(sweep.peak)

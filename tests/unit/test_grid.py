@@ -40,7 +40,7 @@ def test_own_nodes_are_seen_with_axes_in_the_order_x_y_z(box):
 @every_grid
 @pytest.mark.parametrize("columns", [1, 2, 5])
 def test_summing_the_halo_conserves_the_sum_and_filling_it_changes_no_owner(box, columns):
-    """All nodes that the basis touches in a cell of this rank count; DMDA's other ghosts are nobody's."""
+    """All nodes that the basis touches in a cell of this rank count; the ghosts below are nobody's."""
     cells, length = GRIDS[box]
     grid = grid_of(cells, length)
     origin, row, plane = grid.layout
@@ -56,6 +56,37 @@ def test_summing_the_halo_conserves_the_sum_and_filling_it_changes_no_owner(box,
     grid.fill_halo(nodal)
     close(grid.owned(nodal), wanted, 1e-15 * 16)
     assert np.array_equal(nodal[touched], grid.owned(nodal)[tuple((corners % cells).T)])
+
+
+def test_numbers_are_combined_in_place_and_every_reduction_is_counted():
+    grid = Grid((4,), (1.0,), MPI.COMM_SELF)
+    numbers = np.array([3.0, -1.0])
+    assert grid.reductions == 0
+    assert grid.reduce(numbers) is numbers and grid.reduce(numbers, MPI.MAX) is numbers
+    assert numbers.tolist() == [3.0, -1.0] and grid.reductions == 2
+
+
+@pytest.mark.parametrize(
+    ("numbers", "size"),
+    [
+        ([], 1.0),
+        ([0.0, -0.0], 1.0),
+        ([1.0, 0.5], 1.0),
+        ([1.0, -7.9], 4.0),
+        ([3e-300, -1e-301], 2.0**-995),
+        ([5e-324], 5e-324),
+        ([1.7e308, -1.0], 2.0**1023),
+        ([1.0, np.nan], np.inf),
+        ([np.nan, 1.0], np.inf),
+        ([-np.inf, 0.0], np.inf),
+        ([np.inf], np.inf),
+    ],
+    ids=str,
+)
+def test_the_size_of_numbers_is_the_power_of_two_at_or_below_the_largest(numbers, size):
+    grid = Grid((4,), (1.0,), MPI.COMM_SELF)
+    assert grid.size_of(np.array(numbers)) == size
+    assert grid.reductions == 1
 
 
 def test_ghosted_and_on_nodes_undo_each_other():

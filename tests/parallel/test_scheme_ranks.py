@@ -1,0 +1,135 @@
+"""Schemes of high order on several ranks: who holds a particle changes, what it carries does not."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from helpers import run_ranks
+from mpipic.presets import PRESETS
+
+HELPERS = Path(__file__).with_name("simulate_helpers.py")
+TOLERANCE = 1e-9
+"""Of the largest value: sums in another order may cost a solver an iteration more or less, which changes an answer by
+its residual, 1e-13, times what a Gram matrix of few particles makes of it."""
+
+pytestmark = pytest.mark.mpi
+
+Result = SimpleNamespace
+
+
+def overrides(cells: list[int], flow: list[float], steps: int, *more: str, cfl: float = 0.2) -> list[str]:
+    """Of a scene of unequal box lengths in which particles cross cells, and so ranks."""
+    length = [1.0, 0.9, 1.2][: len(cells)]
+    return [
+        f"grid.cells={cells}", f"grid.length={length}", f"gas.flow={flow}", "initial.sharpness=15",
+        "filter.tolerance=1e-13", f"time.cfl={cfl}", f"time.steps={steps}", *more,
+    ]  # fmt: skip
+
+
+def parts(mapping: str, kind: str, integrator: str, *more: str) -> list[str]:
+    """Overrides that name a scheme: basis, mass and gradient in one string."""
+    basis, mass, gradient = mapping.split()
+    names = [f"mapping.basis={basis}", f"mapping.mass={mass}", f"mapping.gradient={gradient}"]
+    return [*names, f"filter.kind={kind}", f"time.integrator={integrator}", *more]
+
+
+RECOMMENDED = [
+    f"{section}.{key}={value}" for section, keys in PRESETS["recommended"].items() for key, value in keys.items()
+]
+HIGH_ORDER = parts("quadratic consistent direct", "exact", "rk4")
+SKEW = parts("cubic consistent skew", "exact", "rk4")
+MIDPOINT = parts("cubic penalised grid", "exact", "midpoint")
+RANDOM = ["particles.layout=random", "particles.seed=7"]
+JITTER = ["particles.layout=jittered", "particles.jitter=0.3"]
+
+# name: (overrides, numbers of ranks); sound moves a fifth of a cell a step, the flow more than half of one
+CASES: dict[str, tuple[list[str], tuple[int, ...]]] = {
+    "1d-recommended": (overrides([24], [2.7], 12, *RECOMMENDED, *RANDOM), (1, 2, 3, 4)),
+    "1d-quadratic-consistent-rk4": (overrides([21], [-2.3], 10, *HIGH_ORDER, *JITTER), (1, 2, 3)),
+    "1d-skew": (overrides([20], [2.7], 10, *SKEW, *JITTER), (1, 2, 3)),
+    "1d-midpoint-on-the-grid": (overrides([24], [-0.4], 6, *MIDPOINT, *RANDOM, cfl=3.0), (1, 2, 3)),
+    "2d-recommended": (overrides([9, 8], [3.1, -2.7], 5, *RECOMMENDED, *RANDOM), (1, 2, 3)),
+    "2d-quadratic-consistent-rk4": (overrides([8, 9], [-3.1, 2.7], 4, *HIGH_ORDER, *JITTER), (1, 2, 3)),
+    "2d-skew": (overrides([8, 8], [3.1, 2.7], 4, *SKEW, *JITTER), (1, 2, 3)),
+    "2d-midpoint-on-the-grid": (overrides([9, 8], [0.5, -0.4], 3, *MIDPOINT, *JITTER, cfl=3.0), (1, 2, 3)),
+    # steps on the particles themselves: their number on a rank, and so the solver's size, changes as they migrate
+    "1d-svd-midpoint": (
+        overrides([12], [0.9], 6, *parts("quadratic consistent direct", "svd", "midpoint"), *JITTER, cfl=1.0),
+        (1, 2, 3),
+    ),
+    "1d-unfiltered": (overrides([18], [2.7], 10, *parts("cubic consistent direct", "none", "rk4"), *JITTER), (1, 2, 3)),
+    "1d-lumped-skew": (
+        overrides([18], [2.7], 10, *parts("quadratic lumped skew", "exact", "symplectic"), *JITTER),
+        (1, 2, 3),
+    ),
+    # blocks of fewer nodes than differences (5), damping (4), penalty (4) and preconditioner (8) reach over
+    "1d-blocks-of-two-cells": (overrides([8], [2.7], 8, *RECOMMENDED, *RANDOM), (1, 2, 3, 4)),
+    "1d-blocks-of-one-cell": (overrides([3], [2.7], 6, *HIGH_ORDER, "particles.per_cell=[5]"), (1, 2, 3)),
+    "2d-blocks-of-one-row": (overrides([4, 4], [3.1, -2.7], 4, *RECOMMENDED, *RANDOM), (1, 2, 4)),
+    "1d-skew-blocks-of-two-cells": (overrides([6], [2.7], 8, *SKEW, "particles.per_cell=[5]"), (1, 2, 3)),
+    "3d-recommended": (overrides([4, 3, 4], [3.1, -2.7, 2.3], 2, *RECOMMENDED, *JITTER), (1, 2)),
+}
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, int], Result]:
+    """Results by case and number of ranks; each number of ranks is started once, with all its cases."""
+    folder = tmp_path_factory.mktemp("schemes")
+    started: set[int] = set()
+
+    def result(name: str, ranks: int) -> Result:
+        place = folder / str(ranks)
+        if ranks not in started:
+            started.add(ranks)
+            place.mkdir()
+            mine = {case: given for case, (given, wanted) in CASES.items() if ranks in wanted}
+            (place / "cases.json").write_text(json.dumps(mine))
+            ended = run_ranks(ranks, HELPERS, str(place / "cases.json"), str(place), timeout=120)
+            assert ended.returncode == 0, ended.stdout + ended.stderr
+        file = place / f"{name}.npz"
+        assert file.exists(), f"the {ranks} ranks ended before this case: see the first test that failed"
+        with np.load(file) as arrays:
+            return SimpleNamespace(**arrays)
+
+    return result
+
+
+SEVERAL = [(name, ranks) for name, (_, wanted) in CASES.items() for ranks in wanted if ranks > 1]
+every_case = pytest.mark.parametrize(("name", "ranks"), SEVERAL)
+
+
+@every_case
+def test_particles_end_the_same_on_any_number_of_ranks(results: Callable[..., Result], name: str, ranks: int) -> None:
+    one, many = results(name, 1), results(name, ranks)
+    assert one.completed and many.completed
+    assert np.array_equal(many.coordinate, one.coordinate), "positions follow the same arithmetic everywhere"
+    for field in ("density", "velocity"):
+        start, expected, found = getattr(one, f"{field}_before"), getattr(one, field), getattr(many, field)
+        assert np.abs(expected - start).max() > 1e-2 * np.abs(one.density).max(), "nothing happened"
+        assert np.abs(found - expected).max() <= TOLERANCE * np.abs(expected).max(), field
+
+
+@every_case
+def test_particles_changed_rank_and_none_was_lost(results: Callable[..., Result], name: str, ranks: int) -> None:
+    many = results(name, ranks)
+    total = len(many.ids)
+    assert np.array_equal(many.ids, np.arange(total)) and np.all(many.counts.sum(axis=0) == total)
+    assert np.array_equal(many.owner, many.rank)
+    assert np.count_nonzero(many.rank != many.rank_before) > 0
+    assert many.migrated[:, -1].sum() > total / 8 and np.all(many.migrated[:, -1] > 0), "every rank was sent some"
+
+
+@pytest.mark.parametrize(
+    ("name", "ranks", "blocks"),
+    [("1d-blocks-of-two-cells", 4, [4]), ("1d-blocks-of-one-cell", 3, [3]), ("2d-blocks-of-one-row", 4, [1, 4])],
+)
+def test_blocks_are_as_small_as_they_say(
+    results: Callable[..., Result], name: str, ranks: int, blocks: list[int]
+) -> None:
+    assert results(name, ranks).blocks.tolist() == blocks

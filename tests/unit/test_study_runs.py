@@ -1,0 +1,174 @@
+"""Claims about running points: whatever becomes of a process is a record, and records survive."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mpipic import study_runs
+from mpipic.output import OutputError
+from mpipic.study import outstanding
+from mpipic.study_file import Study, load
+from mpipic.study_runs import Records, command, environment, launch, run_once, scene_file, write_scenes
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Study:
+    path = tmp_path / "s.toml"
+    path.write_text("until = 0.01\nrepeats = 2\n[axes]\ngrid.cells = [[8], [16]]")
+    return load(path)
+
+
+def python(code: str) -> list[str]:
+    return [sys.executable, "-c", code]
+
+
+def launched(code: str, tmp_path: Path, timeout: float = 30.0) -> tuple[Any, str]:
+    with (tmp_path / "log").open("w") as log:
+        ended = launch(python(code), dict(os.environ), timeout, log)
+    return ended, (tmp_path / "log").read_text()
+
+
+def test_a_process_gives_code_time_memory_and_what_it_said(tmp_path: Path) -> None:
+    code = "import sys, time; x = bytearray(300_000_000); time.sleep(.2); print('hm', file=sys.stderr); sys.exit(3)"
+    ended, said = launched(code, tmp_path)
+    assert ended.code == 3 and said == "hm\n"
+    assert 0.2 <= ended.seconds < 20 and 3e8 < ended.peak_memory < 2e9
+
+
+def test_a_signal_is_a_negative_code(tmp_path: Path) -> None:
+    ended, _ = launched("import os; os.kill(os.getpid(), 9)", tmp_path)
+    assert ended.code == -9
+
+
+@pytest.mark.parametrize("deaf", [False, True])
+def test_a_process_that_takes_too_long_is_ended_even_if_deaf(tmp_path: Path, monkeypatch: Any, deaf: bool) -> None:
+    monkeypatch.setattr(study_runs, "GRACE", 0.3)
+    place = tmp_path / "pid"
+    ignore = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN)\n" if deaf else ""
+    code = f"{ignore}import os, time; open({str(place)!r}, 'w').write(str(os.getpid())); time.sleep(60)"
+    began = time.monotonic()
+    ended, _ = launched(code, tmp_path, 1.5)
+    assert ended.code is None and time.monotonic() - began < 10
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(place.read_text()), 0)
+
+
+def test_an_interruption_ends_the_process(tmp_path: Path) -> None:
+    place = tmp_path / "pid"
+    code = f"import os, time; open({str(place)!r}, 'w').write(str(os.getpid())); time.sleep(60)"
+    before = signal.signal(signal.SIGALRM, lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    signal.setitimer(signal.ITIMER_REAL, 1.0)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            launched(code, tmp_path)
+    finally:
+        signal.signal(signal.SIGALRM, before)
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(place.read_text()), 0)
+
+
+@pytest.mark.parametrize(
+    ("code", "status", "message"),
+    [
+        ("import sys; print('error: residual', file=sys.stderr); sys.exit(4)", "not converged", "residual"),
+        ("import sys; print('error: no', file=sys.stderr); sys.exit(2)", "refused", "no"),
+        ("raise ValueError('oh')", "crashed", "exit code 1; ValueError: oh"),
+        ("import os; os.kill(os.getpid(), 11)", "crashed", "signal SIGSEGV"),
+        ("pass", "crashed", "exit code 0"),
+        ("import time; time.sleep(60)", "timeout", "ended after 1 s"),
+    ],
+)
+def test_every_way_to_fail_is_a_record(
+    study: Study, tmp_path: Path, monkeypatch: Any, code: str, status: str, message: str
+) -> None:
+    monkeypatch.setattr(study_runs, "command", lambda ranks, *arguments: python(code))
+    write_scenes(tmp_path, study.points)
+    point = study.points[0]
+    record = run_once(point, scene_file(tmp_path, point), 1, 1.0 if status == "timeout" else 30.0)
+    assert (record["id"], record["status"], record["message"]) == (point.id, status, message)
+    assert record["errors"] is None and list(tmp_path.glob(".run-*")) == []
+    json.dumps(record, allow_nan=False)
+
+
+def test_one_rank_needs_no_launcher_and_two_do() -> None:
+    assert command(1, "run") == [sys.executable, "-m", "mpipic", "run"]
+    two = command(2, "run")
+    assert two[-6:] == ["-n", "2", sys.executable, "-m", "mpipic", "run"] and "mpiexec" in two[0]
+
+
+def test_nothing_of_a_launcher_above_is_passed_on(monkeypatch: Any) -> None:
+    for name in ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "OMPI_MCA_orte_hnp_uri", "OMPI_MCA_ess", "PMI_RANK"):
+        monkeypatch.setenv(name, "0")
+    monkeypatch.setenv("OMPI_MCA_btl", "self,vader")
+    monkeypatch.setenv("OMPI_MCA_ess_singleton_isolated", "1")
+    found = environment(1)
+    left = {name for name in found if name.startswith(("OMPI_COMM", "PMI", "OMPI_MCA_orte"))}
+    assert not left and "OMPI_MCA_ess" not in found
+    assert (found["OMPI_MCA_btl"], found["OMPI_MCA_ess_singleton_isolated"]) == ("self,vader", "1")
+    assert environment(10_000)["OMPI_MCA_rmaps_base_oversubscribe"] == "1"
+
+
+def record(point: Any, repeat: int, status: str = "completed", **more: Any) -> dict[str, Any]:
+    return {"id": point.id, "repeat": repeat, "status": status, "timeout": 5.0, "seconds": float("nan"), **more}
+
+
+def test_records_survive_and_a_torn_line_is_dropped(study: Study, tmp_path: Path) -> None:
+    first, second = study.points
+    records = Records(tmp_path)
+    records.add(record(first, 1))
+    records.add(record(second, 1))
+    records.close()
+    path = tmp_path / "points.jsonl"
+    whole = path.read_bytes()
+    path.write_bytes(whole + b'{"id": "' + first.id.encode() + b'", "repeat": 2, "sta')
+    again = Records(tmp_path)
+    assert path.read_bytes() == whole
+    assert [r["repeat"] for r in again.of(first)] == [1] and again.of(second)[0]["seconds"] is None
+    assert outstanding(study, again) == [(first, 2), (second, 2)]
+    again.add(record(first, 2))
+    again.close()
+    assert len(path.read_text().splitlines()) == 3
+    fresh = Records(tmp_path, fresh=True)
+    assert path.read_bytes() == b"" and len(outstanding(study, fresh)) == 4
+    fresh.close()
+
+
+def test_all_points_run_once_before_any_runs_again_and_failures_do_not(study: Study, tmp_path: Path) -> None:
+    first, second = study.points
+    records = Records(tmp_path)
+    assert outstanding(study, records) == [(first, 1), (second, 1), (first, 2), (second, 2)]
+    records.add(record(first, 1, "timeout"))
+    assert outstanding(study, records) == [(second, 1), (second, 2)]
+    records.forget(study.points, 5.0)
+    assert len(outstanding(study, records)) == 2, "no more time than before"
+    records.forget(study.points, 6.0)
+    assert len(outstanding(study, records)) == 4
+    records.add(record(second, 1, "crashed"))
+    records.forget(study.points, 5.0, ("crashed",))
+    assert len(outstanding(study, records)) == 4
+    records.close()
+
+
+def test_two_studies_do_not_write_to_one_folder(tmp_path: Path) -> None:
+    records = Records(tmp_path)
+    with pytest.raises(OutputError, match="another study is writing"):
+        Records(tmp_path)
+    records.close()
+    Records(tmp_path).close()
+
+
+def test_scene_files_run_the_point_again(study: Study, tmp_path: Path) -> None:
+    from mpipic.scene import Scene
+
+    write_scenes(tmp_path, study.points)
+    for point in study.points:
+        path = scene_file(tmp_path, point)
+        assert Scene.load(path) == point.scene and path.read_text().startswith(f"# {point.label}: ")
