@@ -13,12 +13,11 @@ says), halfway to the row sums on the cubic one (`TILT`).
 
 from __future__ import annotations
 
-import atexit
 from collections.abc import Hashable
 from dataclasses import dataclass
 from math import comb
 from typing import Any, Protocol
-from weakref import WeakSet
+from weakref import finalize
 
 import numpy as np
 from mpi4py import MPI
@@ -35,18 +34,16 @@ TILT = {1: 0.0, 2: 0.25, 3: 0.6}
 """Degree to the exponent t of the preconditioner's scaling, diag(G)^(1 - t) diag(d)^t."""
 EARLIER = 2
 """Solutions of a series that the first guess of the next is extrapolated from."""
+SHIFT = 1e-15
+"""Added to the unit diagonal: where rounding alone decides whether G is singular, this much decides that it is not."""
 ENTRIES_NOT_NEEDED = ("none", "jacobi", "python")
 """Preconditioners of PETSc that work without matrix entries."""
 
 
-_living: WeakSet[GramSolver] = WeakSet()
-
-
-@atexit.register
-def _end() -> None:
-    """PETSc finalises after Python has gone, and must not find objects that call back into it."""
-    for solver in list(_living):
-        solver.close()
+def destroy(*items: Any) -> None:
+    """Give PETSc objects back now: PETSc finalises after Python has gone, and must not find any that call into it."""
+    for item in items:
+        item.destroy()
 
 
 class GramMatrix(Protocol):
@@ -172,7 +169,7 @@ class GramStencil:
     def mult(self, mat: Any, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """y = G x, as PETSc calls it. Collective; one halo exchange."""
         values = self.load(x.getArray(readonly=True))
-        stencil.multiply(self.entries, self.offsets, values, *self._span, self._product)
+        stencil.multiply(self.entries, self.offsets, 1.0 + SHIFT, values, *self._span, self._product)
         product = self.halo.own(self._product)
         with y as out:
             out.reshape(product.shape)[...] = product
@@ -205,7 +202,7 @@ class GramStencil:
         halo.own(number)[...] = (first + np.arange(own.size)).reshape(halo.own(number).shape)
         halo.fill(number)
         columns = [own] + [own + o for o in self.offsets[1:]] + [own - o for o in self.offsets[1:]]
-        entries = [np.ones(own.size)]
+        entries = [np.full(own.size, 1.0 + SHIFT)]
         entries += [self.entries[h, own] for h in range(1, len(self.offsets))]
         entries += [self.entries[h, own - self.offsets[h]] for h in range(1, len(self.offsets))]
         starts = np.arange(own.size + 1) * len(columns)
@@ -347,16 +344,11 @@ class GramSolver:
         self._assembled: PETSc.Mat | None = None
         self._ksp = self._configure(comm, prefix)
         self._x, self._b = self._shell.createVecs()
-        _living.add(self)
+        self.close = finalize(self, destroy, self._ksp, self._shell, self._x, self._b)
 
     def forget(self) -> None:
         """Begin every series anew. Local."""
         self._earlier.clear()
-
-    def close(self) -> None:
-        """Give PETSc's objects back; no `solve` after this. Collective."""
-        for item in (self._ksp, self._shell, self._x, self._b):
-            item.destroy()
 
     def _configure(self, comm: MPI.Comm, prefix: str) -> PETSc.KSP:
         ksp = PETSc.KSP().create(comm)
@@ -403,8 +395,10 @@ class GramSolver:
         block = nodes.own(sums)
         right = (block * matrix.scale.reshape(block.shape)).ravel()
         size = matrix.grid.size_of(right)
-        out = np.full(nodes.local_nodes, np.nan)
-        if np.isfinite(size):
+        out = np.zeros(nodes.local_nodes)
+        if not np.isfinite(size):
+            out.fill(np.nan)
+        else:
             earlier = self._earlier.setdefault(series, Series(right.size)) if series is not None else None
             answer = self._solve(right, size, earlier)
             if earlier is not None:
@@ -428,6 +422,12 @@ class GramSolver:
             if earlier is not None:
                 earlier.extrapolate(matrix.root, 1.0 / size, x)
         guessed = earlier is not None and earlier.count > 0
+        if guessed:
+            # rounding of G times the guess must stay below the residual asked for
+            rounding = 8.0 * float(np.finfo(float).eps) * matrix.grid.size_of(self._x.getArray(readonly=True))
+            guessed = rounding <= self.tolerance
+        if earlier is not None and not guessed:
+            earlier.count = 0
         self._ksp.setInitialGuessNonzero(guessed)
         self._ksp.solve(self._b, self._x)
         if guessed and self._ksp.getConvergedReason() < 0:

@@ -169,11 +169,12 @@ class Mapping(NodalMapping):
     def _place(self, coordinate: FloatArray, weight: FloatArray | None) -> None:
         problem = None
         try:
-            self._cell, self._fraction = locate(self.grid, coordinate)
-            self.weight = _checked(weight, len(self._cell))
+            located = locate(self.grid, coordinate)
+            checked = _checked(weight, len(located[0]))
         except ValueError as error:
             problem = str(error)
         raise_together(self.grid.comm, problem)
+        (self._cell, self._fraction), self.weight = located, checked
         self.version += 1
         self._moments: FloatArray | None = None
         self.weights = self.sums(np.ones(len(self._cell)))

@@ -8,25 +8,17 @@ With the velocity eliminated, the density at mid-step solves (1 - (dt/2)² R U) 
 
 from __future__ import annotations
 
-import atexit
+from collections.abc import Callable
 from typing import Any
-from weakref import WeakSet
+from weakref import finalize, proxy
 
 import numpy as np
 from petsc4py import PETSc
 
 from mpipic.errors import NotConverged
+from mpipic.gram import destroy
 from mpipic.grid import FloatArray
 from mpipic.schemes import Rates, State, Step
-
-_living: WeakSet[Midpoint] = WeakSet()
-
-
-@atexit.register
-def _end() -> None:
-    """PETSc finalises after Python has gone, and must not find objects that call back into it."""
-    for solver in list(_living):
-        solver.close()
 
 
 class Midpoint:
@@ -57,14 +49,7 @@ class Midpoint:
         self._b: PETSc.Vec
         self._half, self._scale = 0.0, 1.0
         self._rates: Rates | None = None
-        _living.add(self)
-
-    def close(self) -> None:
-        """Give PETSc's objects back. Collective."""
-        if self._ksp is not None:
-            for item in (self._ksp, self._shell, self._x, self._b):
-                item.destroy()
-            self._ksp = None
+        self._close: Callable[[], Any] | None = None
 
     def __call__(self, rates: Rates, state: State, dt: float) -> Step:
         """One step; see `mpipic.schemes`."""
@@ -102,9 +87,11 @@ class Midpoint:
         changed = self._ksp is None or self._b.getLocalSize() != own
         if not rates.any(changed):
             return self._ksp
-        self.close()
+        if self._close is not None:
+            self._close()
         comm = rates.comm
-        self._shell = PETSc.Mat().createPython(((own, None), (own, None)), self, comm=comm)
+        # a proxy: the matrix must not keep what made it alive
+        self._shell = PETSc.Mat().createPython(((own, None), (own, None)), proxy(self), comm=comm)
         self._x, self._b = self._shell.createVecs()
         ksp = PETSc.KSP().create(comm)
         ksp.setOptionsPrefix("midpoint_")
@@ -116,6 +103,7 @@ class Midpoint:
         ksp.setOperators(self._shell)
         ksp.setFromOptions()
         self._ksp = ksp
+        self._close = finalize(self, destroy, ksp, self._shell, self._x, self._b)
         return ksp
 
     def mult(self, mat: Any, x: PETSc.Vec, y: PETSc.Vec) -> None:

@@ -120,11 +120,23 @@ def _all_triplets(matrix: PETSc.Mat, triplets: int, own: int) -> tuple[str, Floa
         if found >= triplets:
             values, vectors = _read(solver, matrix, triplets, own)
             solver.destroy()
-            return used, values, vectors
+            if _holds(matrix, values, vectors):
+                return used, values, vectors
+            continue
         solver.destroy()
     raise NotConverged(
         f"the singular value decomposition ({used}) found {found} of {triplets} triplets after {iterations} iterations"
     )
+
+
+def _holds(matrix: PETSc.Mat, values: FloatArray, vectors: FloatArray) -> bool:
+    """Whether singular values and vectors can be right: orthonormal, and the squares sum up."""
+    kept = vectors[values > vectors.shape[0] * np.finfo(float).eps * values.max()]
+    with np.errstate(over="ignore", invalid="ignore"):
+        overlap = np.ascontiguousarray(kept @ kept.T)
+        matrix.comm.tompi4py().Allreduce(MPI.IN_PLACE, overlap)
+        total, norm = np.sum(values**2), matrix.norm(PETSc.NormType.FROBENIUS) ** 2
+        return bool(np.abs(overlap - np.eye(len(kept))).max(initial=0.0) < 1e-10 and abs(total - norm) < 1e-10 * norm)
 
 
 def _read(solver: Any, matrix: PETSc.Mat, triplets: int, own: int) -> tuple[FloatArray, FloatArray]:

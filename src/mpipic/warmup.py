@@ -15,11 +15,16 @@ from mpipic.scene import Scene
 
 
 def compile_loops(scene: Scene) -> None:
-    """Take one step of the scene's kind with two particles on a small grid, so that every loop is compiled. Local."""
+    """Take one step of the scene's kind with a few particles on a small grid, so that every loop is compiled. Local."""
     dim = scene.dim
     small = replace(scene, grid=scene.grid.model_copy(update={"cells": (2,) * dim, "length": (1.0,) * dim}))
     grid = Grid(small.grid.cells, small.grid.length, MPI.COMM_SELF, scene.mapping.basis)
     particles = Particles(grid.h, {"density": 0, "velocity": dim})
-    particles.append(np.full((2, dim), 0.5), np.zeros((2, 1 + dim)), np.arange(2))
+    # evenly spread and not at rest: solvers must have something to iterate on
+    axes = [(np.arange(4) + 0.5) / 2] * dim
+    coordinate = np.stack([x.ravel() for x in np.meshgrid(*axes)], axis=1)
+    count = len(coordinate)
+    state = np.sin(np.arange(1.0, count * (1 + dim) + 1)).reshape(count, 1 + dim)
+    particles.append(grid.wrapped(coordinate), state, np.arange(count))
     build_step(small, build_sweep(small, grid, particles, Phases())).step()
     particles.take(np.arange(1))

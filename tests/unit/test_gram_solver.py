@@ -225,7 +225,6 @@ def test_a_series_may_be_long_and_fade_where_the_matrix_is_singular(box, name):
             close(mapping.g2p(nodal), Dense(cells, length, moved).projection() @ q, 1e-8, scale=0.92**step)
 
 
-@pytest.mark.xfail(strict=True, reason="a guess is used however large its rounding is")
 @pytest.mark.parametrize("fraction", [1e-12, 1e-9, 3e-9, 1e-6, 1e-3, 1 - 1e-9])
 def test_a_guess_that_positions_have_made_worthless_does_no_harm(fraction):
     """A node sees a particle with next to no weight, then with all of it, and so forth: its value is huge, then not."""
@@ -241,7 +240,6 @@ def test_a_guess_that_positions_have_made_worthless_does_no_harm(fraction):
         close(answer, Dense(cells, length, position).projection() @ (q + 0.1 * step), 1e-9)
 
 
-@pytest.mark.xfail(strict=True, reason="eigenvalues below rounding are taken for what they come out as")
 @pytest.mark.parametrize("centre", [0.5, 0.25, 1.5])
 @pytest.mark.parametrize("box", [((2,), (1.0,)), ((2, 1), (1.0, 1.0)), ((4,), (1.0,))], ids=str)
 def test_values_that_nodes_tell_apart_by_rounding_alone_are_neither_refused_nor_enlarged(box, centre):

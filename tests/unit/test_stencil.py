@@ -138,7 +138,7 @@ def test_multiplying_takes_every_diagonal_both_ways_and_ones_on_the_main_one(cel
     for row, offset in zip(entries[1:], offsets[1:]):
         wanted[nodes] += row[nodes] * values[nodes + offset] + row[nodes - offset] * values[nodes - offset]
     out = np.full(halo.local_nodes, -7.0)
-    stencil.multiply(entries, offsets, values, start, stop, out)
+    stencil.multiply(entries, offsets, 1.0, values, start, stop, out)
     close(out, wanted, 1e-14)
     assert np.all(np.delete(out, nodes) == -7.0)
 

@@ -84,17 +84,18 @@ def scale_entries(entries, offsets, scale, shape, layout):
 
 
 @hot
-def multiply(entries, offsets, values, start, stop, out):
+def multiply(entries, offsets, diagonal, values, start, stop, out):
     """out[n] = (G values)[n] for start <= n < stop, padded arrays, ghosts of `values` filled; junk on ghosts between.
 
-    G has unit diagonal: entries[0] is not read. A block of nodes stays in the first cache while the other diagonals
+    G has the same number all along its diagonal: entries[0] is not read. A block of nodes stays in the first cache while the other diagonals
     pass, two at a time; memory traffic is the entries'.
     """
     n = start
     while n < stop:
         m = min(NODES_AT_ONCE, stop - n)
-        row = out[n : n + m]
-        row[:] = values[n : n + m]
+        row, here = out[n : n + m], values[n : n + m]
+        for i in range(m):
+            row[i] = diagonal * here[i]
         h = 1
         while h + 1 < offsets.size:
             o, p = offsets[h], offsets[h + 1]
