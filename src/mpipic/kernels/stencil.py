@@ -87,8 +87,8 @@ def scale_entries(entries, offsets, scale, shape, layout):
 def multiply(entries, offsets, diagonal, values, start, stop, out):
     """out[n] = (G values)[n] for start <= n < stop, padded arrays, ghosts of `values` filled; junk on ghosts between.
 
-    G has the same number all along its diagonal: entries[0] is not read. A block of nodes stays in the first cache while the other diagonals
-    pass, two at a time; memory traffic is the entries'.
+    G has the same number all along its diagonal: entries[0] is not read. A block of nodes stays in the first cache
+    while the other diagonals pass, two at a time; memory traffic is the entries'.
     """
     n = start
     while n < stop:
