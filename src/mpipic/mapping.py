@@ -39,6 +39,11 @@ class NodalMapping:
     phase: Callable[[str], None]
 
     @property
+    def has_moments(self) -> bool:
+        """Whether there are pair moments."""
+        return self.grid.degree == 1
+
+    @property
     def moments(self) -> FloatArray:
         """Pair moments of own cells, (local_cells, 3^d)."""
         raise NotImplementedError
@@ -66,7 +71,7 @@ class NodalMapping:
     def gram(self, nodal: FloatArray, out: FloatArray) -> FloatArray:
         """out += G nodal, one column; complete it afterwards. Local."""
         grid = self.grid
-        if grid.degree == 1:
+        if self.has_moments:
             BY_DIMENSION[grid.dim].gram(self.moments, grid.padded_shape, grid.layout, nodal, out)
             return out
         where = (*self.located,)
@@ -94,7 +99,7 @@ class NodalMapping:
         Local; ghosts still hold what belongs to their owners.
         """
         dim, degree, shape = self.grid.dim, self.grid.degree, self.grid.padded_shape
-        if degree == 1:
+        if self.has_moments:
             stencil.add_moments(self.moments, stencil.moment_terms(dim), shape, layout, entries)
         else:
             offsets = stencil.half_stencil(dim, degree)

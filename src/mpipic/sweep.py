@@ -277,6 +277,11 @@ class SplineSweep(ParticleSweep):
     one_pass = False
 
     @property
+    def has_moments(self) -> bool:
+        """On no basis."""
+        return False
+
+    @property
     def located(self) -> tuple[IntArray, FloatArray]:
         """Local cell (n,) and local coordinates (n, d) of the particles. Local."""
         return self._cell, self._fraction

@@ -3,7 +3,8 @@
 Splines are centred on nodes. `cell` is a particle's local cell, `fraction` its local coordinates in it; along an axis
 it touches degree + 1 nodes, the first `offset` nodes from the one that opens its cell: 0 for linear; for quadratic -1
 in the lower half of the cell and 0 in the upper; -1 for cubic. Nodal arrays are padded by the reach, `shape` is the own
-cells per axis, padded with 1, `layout` = (first own node, strides of y and z).
+cells per axis, padded with 1, `layout` = (first own node, strides of y and z). The loops of every step have a short form
+in one dimension.
 """
 
 import numpy as np
@@ -67,6 +68,15 @@ def add_sums(degree, cell, fraction, values, shape, layout, out):
     """out += Φᵀ values, column by column."""
     w, _, count = _scratch()
     columns = values.shape[1]
+    if fraction.shape[1] == 1:
+        v = w[0]
+        for p in range(cell.size):
+            first = layout[0] + cell[p] + weights(degree, fraction[p, 0], v)
+            for i in range(degree + 1):
+                n = U(first + i)
+                for c in range(columns):
+                    out[n, U(c)] += v[i] * values[p, c]
+        return
     for p in range(cell.size):
         first = _find(degree, cell, fraction, p, shape, layout, w, count)
         for k in range(count[2]):
@@ -84,6 +94,16 @@ def add_interpolated(degree, cell, fraction, nodal, rate, shape, layout, out):
     w, _, count = _scratch()
     columns = nodal.shape[1]
     total = np.empty(columns)
+    if fraction.shape[1] == 1:
+        v = w[0]
+        for p in range(cell.size):
+            first = layout[0] + cell[p] + weights(degree, fraction[p, 0], v)
+            for c in range(columns):
+                value = 0.0
+                for i in range(degree + 1):
+                    value += v[i] * nodal[U(first + i), U(c)]
+                out[p, c] += rate[c] * value
+        return
     for p in range(cell.size):
         first = _find(degree, cell, fraction, p, shape, layout, w, count)
         total[:] = 0.0
@@ -190,6 +210,15 @@ def add_divergence_sums(degree, cell, fraction, values, inverse_h, shape, layout
 def add_gram_entries(degree, cell, fraction, weight, offsets, shape, layout, entries):
     """entries[h, n] += Σ_p V_p φ_n φ_{n + offsets[h]}: half of G's diagonals, offsets (h, 3) as in `stencil`."""
     w, _, count = _scratch()
+    if fraction.shape[1] == 1:
+        v = w[0]
+        for p in range(cell.size):
+            first = layout[0] + cell[p] + weights(degree, fraction[p, 0], v)
+            for i in range(degree + 1):
+                n, vi = U(first + i), weight[p] * v[i]
+                for h in range(degree + 1 - i):
+                    entries[U(h), n] += vi * v[i + h]
+        return
     for p in range(cell.size):
         first = _find(degree, cell, fraction, p, shape, layout, w, count)
         for h in range(offsets.shape[0]):
