@@ -103,7 +103,7 @@ class GramStencil:
         grid = mapping.grid
         self.mapping, self.grid, self.penalty = mapping, grid, penalty
         self.reach = max(grid.degree, penalty.order if penalty else 0)
-        self.halo = Halo(grid.comm, grid.cells, grid.starts, max(self.reach, REACH[grid.degree]))
+        self.halo = Halo(grid.comm, grid.cells, grid.starts, self.reach)
         steps = np.array([1, *self.halo.layout[1:]])
         self.shape = grid.padded_shape
         half = stencil.half_stencil(grid.dim, grid.degree)
@@ -245,7 +245,10 @@ class TensorPreconditioner:
 
     def __init__(self, matrix: GramStencil) -> None:
         self.matrix = matrix
-        shape, self._reach = matrix.halo.ghost_shape, REACH[matrix.grid.degree]
+        grid, self._reach = matrix.grid, REACH[matrix.grid.degree]
+        self.halo = Halo(grid.comm, grid.cells, grid.starts, self._reach)
+        self._values = np.zeros(self.halo.local_nodes)
+        shape = self.halo.ghost_shape
         self._plane, self._line = np.empty(int(np.prod(shape[:2]))), np.empty(shape[0])
         self.weights = np.eye(1, self._reach + 1).repeat(3, axis=0)
         self._tilt: FloatArray | None = None
@@ -266,10 +269,12 @@ class TensorPreconditioner:
         """y = the stencils times x, as PETSc calls it."""
         matrix = self.matrix
         own = x.getArray(readonly=True)
-        values = matrix.load(own if self._tilt is None else own * self._tilt)
+        block = self.halo.own(self._values)
+        block[...] = (own if self._tilt is None else own * self._tilt).reshape(block.shape)
+        self.halo.fill(self._values)
         with y as out:
             stencil.convolve(
-                values, self.weights, matrix.shape, matrix.halo.layout, self._plane, self._line, out
+                self._values, self.weights, matrix.shape, self.halo.layout, self._plane, self._line, out
             )  # fmt: skip
             if self._tilt is not None:
                 out *= self._tilt

@@ -1,10 +1,10 @@
 """Sums over particles of B-spline shape functions of degree 1, 2 or 3, in one, two or three dimensions.
 
-Splines are centred on nodes. `cell` is a particle's local cell, `fraction` its local coordinates in it; along an axis
+Splines are centred on nodes. `cell` is a particle's local cell, `fraction` its local coordinates in it. Along an axis
 it touches degree + 1 nodes, the first `offset` nodes from the one that opens its cell: 0 for linear; for quadratic -1
-in the lower half of the cell and 0 in the upper; -1 for cubic. Nodal arrays are padded by the reach, `shape` is the own
-cells per axis, padded with 1, `layout` = (first own node, strides of y and z). The loops of every step have a short form
-in one dimension.
+in the lower half of the cell and 0 in the upper; -1 for cubic. Nodal arrays are padded by the reach, `shape` is the
+own cells per axis, padded with 1, `layout` = (first own node, strides of y and z). The loops of every step have a short
+form in one dimension.
 """
 
 import numpy as np
