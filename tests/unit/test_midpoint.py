@@ -57,14 +57,15 @@ def options():
 
 @every_scheme
 @every_dimension
-@pytest.mark.parametrize("cfl", [1.0, 20.0])
+@pytest.mark.parametrize("cfl, allowed", [(1.0, 1e-11), (20.0, 1e-8)])
 @pytest.mark.parametrize("flow", [(0.0, 0.0), (0.02, -0.3)])
-def test_steps_are_those_of_the_dense_implicit_midpoint_rule(scheme, dim, cfl, flow):
+def test_steps_are_those_of_the_dense_implicit_midpoint_rule(scheme, dim, cfl, allowed, flow):
+    """The longer the time step, the more of the solvers' residuals, 1e-12, comes through."""
     box, gas, dt, position, state = case(dim, "jittered", cfl, flow)
     found = run_of(scheme, box, gas, dt, position, state).steps(3).result
     wanted = run_steps(short_step, scheme, gas, dt, *box, position, state, 3)
     close(found[0], wanted[0], 1e-13)
-    close(found[1], wanted[1], 1e-10)
+    close(found[1], wanted[1], allowed)
     assert np.abs(wanted[1] - state).max() > 0.1
 
 
