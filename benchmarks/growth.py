@@ -2,8 +2,8 @@
 
     ./run exec python benchmarks/growth.py [--preset recommended] [--dim 1] [--seeds 20] [--cells 16] [--set KEY=VALUE]
 
-For random and jittered (by up to 0.4 spacings) particles, 1, 2, 4 and 8 a cell; flows and CFL numbers that recur after a
-few steps. Growth below 1e-9 is what eigenvalues cannot resolve.
+For random and jittered (by up to 0.4 spacings) particles, 1, 2, 4 and 8 a cell; flows and CFL numbers that recur after
+a few steps. Growth below 1e-9 is what eigenvalues cannot resolve.
 """
 
 from __future__ import annotations
