@@ -333,7 +333,7 @@ class GramSolver:
 
     Notes
     -----
-    Collective. An iteration costs two halo exchanges and two reductions. Memory per node: the stencil's, about ten
+    Collective. An iteration costs two halo exchanges and two reductions, a solve two reductions more. Memory per node: the stencil's, about ten
     vectors, and EARLIER vectors for each column of each series.
     """
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any
-from weakref import finalize, proxy
+from weakref import finalize, ref
 
 import numpy as np
 from petsc4py import PETSc
@@ -21,8 +21,21 @@ from mpipic.grid import FloatArray
 from mpipic.schemes import Rates, State, Step
 
 
+class _Product:
+    """What the shell matrix calls: it must not keep the integrator alive, and must outlive it."""
+
+    def __init__(self, owner: Midpoint) -> None:
+        self._owner = ref(owner)
+
+    def mult(self, mat: Any, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """y = (1 - (dt/2)² R U) x. Collective."""
+        owner = self._owner()
+        assert owner is not None
+        owner.mult(mat, x, y)
+
+
 class Midpoint:
-    """The integrator; keeps its solver, and takes the last density at mid-step as the first guess of the next.
+    """The integrator; keeps its solver, and takes the density at the beginning of a step as the first guess.
 
     Parameters
     ----------
@@ -47,7 +60,7 @@ class Midpoint:
         self._shell: PETSc.Mat
         self._x: PETSc.Vec
         self._b: PETSc.Vec
-        self._half, self._scale = 0.0, 1.0
+        self._half = 0.0
         self._rates: Rates | None = None
         self._close: Callable[[], Any] | None = None
 
@@ -90,8 +103,7 @@ class Midpoint:
         if self._close is not None:
             self._close()
         comm = rates.comm
-        # a proxy: the matrix must not keep what made it alive
-        self._shell = PETSc.Mat().createPython(((own, None), (own, None)), proxy(self), comm=comm)
+        self._shell = PETSc.Mat().createPython(((own, None), (own, None)), _Product(self), comm=comm)
         self._x, self._b = self._shell.createVecs()
         ksp = PETSc.KSP().create(comm)
         ksp.setOptionsPrefix("midpoint_")

@@ -96,8 +96,8 @@ class LeastSquaresMass(Mass):
     def fields(self, sums: FloatArray, name: str) -> FloatArray:
         """(G + penalty)⁻¹ sums, column by column. Collective.
 
-        A singular G gives the fields of least norm: so the solver begins at zero, and only a penalty, which leaves one
-        solution, allows a guess from earlier steps.
+        On a singular G what no particle sees is left as small as the solver leaves it that begins at zero; only a
+        penalty, which leaves one solution, allows a guess from earlier steps.
         """
         out = np.empty(sums.shape)
         for column in range(sums.shape[1]):

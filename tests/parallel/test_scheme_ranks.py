@@ -65,7 +65,7 @@ CASES: dict[str, tuple[list[str], tuple[int, ...]]] = {
     ),
     "1d-unfiltered": (overrides([18], [2.7], 10, *parts("cubic consistent direct", "none", "rk4"), *JITTER), (1, 2, 3)),
     "1d-lumped-skew": (
-        overrides([18], [2.7], 10, *parts("quadratic lumped skew", "exact", "symplectic"), *JITTER),
+        overrides([18], [2.7], 10, *parts("linear lumped skew", "exact", "symplectic"), *JITTER),
         (1, 2, 3),
     ),
     # blocks of fewer nodes than differences (5), damping (4), penalty (4) and preconditioner (8) reach over

@@ -1,6 +1,9 @@
 """The implicit midpoint rule: the dense one at long time steps, what it conserves, and how it fails."""
 
+import gc
+import sys
 from dataclasses import replace
+from weakref import ref
 
 import numpy as np
 import pytest
@@ -203,3 +206,14 @@ def test_the_solver_is_made_once_and_begins_at_the_present_density(scheme):
     run.steps(2)
     assert midpoint._ksp is solver and midpoint.iterations <= 1
     close(run.result[1], uniform, 1e-11)
+
+
+@every_scheme
+def test_a_run_that_is_dropped_gives_its_solvers_back_without_complaint(scheme, monkeypatch):
+    complaints = []
+    monkeypatch.setattr(sys, "unraisablehook", lambda found: complaints.append(repr(found.exc_value)))
+    run = run_of(scheme, *case(1)).steps(1)
+    midpoint = ref(getattr(run.formulation, "_plain", run.formulation).integrate)
+    del run
+    gc.collect()
+    assert midpoint() is None and complaints == []
