@@ -333,8 +333,8 @@ class GramSolver:
 
     Notes
     -----
-    Collective. An iteration costs two halo exchanges and two reductions, a solve two reductions more. Memory per node: the stencil's, about ten
-    vectors, and EARLIER vectors for each column of each series.
+    Collective. An iteration costs two halo exchanges and two reductions, a solve two reductions more. Memory per node:
+    the stencil's, about ten vectors, and EARLIER vectors for each column of each series.
     """
 
     def __init__(
