@@ -17,7 +17,6 @@ from collections.abc import Hashable
 from dataclasses import dataclass
 from math import comb
 from typing import Any, Protocol
-from weakref import finalize
 
 import numpy as np
 from mpi4py import MPI
@@ -27,6 +26,7 @@ from mpipic.errors import NotConverged
 from mpipic.grid import FloatArray, Grid
 from mpipic.halo import Halo
 from mpipic.kernels import stencil
+from mpipic.petsc_objects import close_at_exit
 
 REACH = {1: 2, 2: 5, 3: 8}
 """Degree of the splines to the nodes either side that the preconditioner's stencil along an axis takes."""
@@ -38,12 +38,6 @@ SHIFT = 1e-15
 """Added to the unit diagonal: where rounding alone decides whether G is singular, this much decides that it is not."""
 ENTRIES_NOT_NEEDED = ("none", "jacobi", "python")
 """Preconditioners of PETSc that work without matrix entries."""
-
-
-def destroy(*items: Any) -> None:
-    """Give PETSc objects back now: PETSc finalises after Python has gone, and must not find any that call into it."""
-    for item in items:
-        item.destroy()
 
 
 class GramMatrix(Protocol):
@@ -349,7 +343,12 @@ class GramSolver:
         self._assembled: PETSc.Mat | None = None
         self._ksp = self._configure(comm, prefix)
         self._x, self._b = self._shell.createVecs()
-        self.close = finalize(self, destroy, self._ksp, self._shell, self._x, self._b)
+        close_at_exit(self)
+
+    def close(self) -> None:
+        """Give PETSc's objects back; no `solve` after this. Collective."""
+        for item in (self._ksp, self._shell, self._x, self._b):
+            item.destroy()
 
     def forget(self) -> None:
         """Begin every series anew. Local."""

@@ -8,16 +8,15 @@ With the velocity eliminated, the density at mid-step solves (1 - (dt/2)² R U) 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
-from weakref import finalize, ref
+from weakref import ref
 
 import numpy as np
 from petsc4py import PETSc
 
 from mpipic.errors import NotConverged
-from mpipic.gram import destroy
 from mpipic.grid import FloatArray
+from mpipic.petsc_objects import close_at_exit
 from mpipic.schemes import Rates, State, Step
 
 
@@ -62,7 +61,14 @@ class Midpoint:
         self._b: PETSc.Vec
         self._half = 0.0
         self._rates: Rates | None = None
-        self._close: Callable[[], Any] | None = None
+        close_at_exit(self)
+
+    def close(self) -> None:
+        """Give PETSc's objects back. Collective."""
+        if self._ksp is not None:
+            for item in (self._ksp, self._shell, self._x, self._b):
+                item.destroy()
+            self._ksp = None
 
     def __call__(self, rates: Rates, state: State, dt: float) -> Step:
         """One step; see `mpipic.schemes`."""
@@ -100,8 +106,7 @@ class Midpoint:
         changed = self._ksp is None or self._b.getLocalSize() != own
         if not rates.any(changed):
             return self._ksp
-        if self._close is not None:
-            self._close()
+        self.close()
         comm = rates.comm
         self._shell = PETSc.Mat().createPython(((own, None), (own, None)), _Product(self), comm=comm)
         self._x, self._b = self._shell.createVecs()
@@ -115,7 +120,6 @@ class Midpoint:
         ksp.setOperators(self._shell)
         ksp.setFromOptions()
         self._ksp = ksp
-        self._close = finalize(self, destroy, ksp, self._shell, self._x, self._b)
         return ksp
 
     def mult(self, mat: Any, x: PETSc.Vec, y: PETSc.Vec) -> None:
