@@ -76,6 +76,8 @@ class Midpoint:
         right = state[:, :1] + self._half * rates.density(state, 0).field
         middle = state.copy()
         middle[:, :1] = self._solve(right, state)
+        # no cycle of references: what it held would live until a collector comes, at its own time on every rank
+        self._rates = None
         middle[:, 1:] = state[:, 1:] + self._half * rates.velocity(middle, 0).field
         rate = rates.both(middle, 1)
         return Step(dt * rate.coefficients, state + dt * rate.field)

@@ -11,6 +11,7 @@ import gc
 from typing import Protocol
 from weakref import ref
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 
@@ -38,5 +39,7 @@ def _end() -> None:
         holder = made()
         if holder is not None:
             holder.close()
-    gc.collect()
-    PETSc.garbage_cleanup()
+    if MPI.COMM_WORLD.size == 1:
+        # what cycles of references still hold; on several ranks these may differ, and cleaning up together would wait
+        gc.collect()
+        PETSc.garbage_cleanup()
