@@ -10,8 +10,8 @@ from mpi4py import MPI
 from dense_helpers import GRIDS, Dense, pattern
 from mpipic.filters import FILTERS
 from mpipic.grid import Grid
-from mpipic.mapping import Sweep
 from mpipic.particles import Particles
+from mpipic.sweep import Sweep
 
 
 @cache

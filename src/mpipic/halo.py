@@ -7,7 +7,7 @@ however many ranks or periods away.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +15,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 FloatArray = npt.NDArray[np.float64]
+Exchange = Callable[[MPI.Datatype, FloatArray, FloatArray, MPI.Op], None]
 
 
 class Halo:
@@ -127,7 +128,7 @@ class Halo:
         """Copy the owners' values to their ghosts, in place. Collective; messages as for `add`."""
         self._exchange(self._forest.bcastBegin, self._forest.bcastEnd, MPI.REPLACE, padded)
 
-    def _exchange(self, begin, end, how: MPI.Op, arrays: Sequence[FloatArray]) -> None:  # type: ignore[no-untyped-def]
+    def _exchange(self, begin: Exchange, end: Exchange, how: MPI.Op, arrays: Sequence[FloatArray]) -> None:
         self.exchanges += len(arrays)
         for array in arrays:
             begin(self._unit(array), array, array, how)

@@ -7,6 +7,7 @@ door; the particles that a run advances are mapped by `mpipic.sweep`.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 
 import numpy as np
@@ -16,7 +17,7 @@ from mpipic.kernels import BY_DIMENSION, generic, spline, stencil
 from mpipic.particles import IntArray, Particles, locate
 
 
-class NodalMapping:
+class NodalMapping(ABC):
     """What filters and solvers need of a mapping: the operators that S Φ is made of, on nodal arrays.
 
     On the linear basis G follows from the pair moments of every cell (see `kernels.cells`), on the others from passes
@@ -39,14 +40,19 @@ class NodalMapping:
     phase: Callable[[str], None]
 
     @property
-    def has_moments(self) -> bool:
-        """Whether there are pair moments."""
-        return self.grid.degree == 1
+    @abstractmethod
+    def moments(self) -> FloatArray | None:
+        """Pair moments of own cells, (local_cells, 3^d); None where there are none."""
 
     @property
-    def moments(self) -> FloatArray:
-        """Pair moments of own cells, (local_cells, 3^d)."""
-        raise NotImplementedError
+    @abstractmethod
+    def located(self) -> tuple[IntArray, FloatArray]:
+        """Local cell (n,) and local coordinates (n, d) of the particles. Local."""
+
+    @property
+    @abstractmethod
+    def particle_weights(self) -> FloatArray:
+        """What each particle counts, (n,). Local."""
 
     def divide(self, sums: FloatArray, out: FloatArray | None = None) -> FloatArray:
         """Nodal means from nodal sums: diag(d)⁻¹ sums, 0 on nodes that no particle sees. Local."""
@@ -58,23 +64,13 @@ class NodalMapping:
             generic.scale_rows(sums, self.inverse_weights, result)
         return result
 
-    @property
-    def located(self) -> tuple[IntArray, FloatArray]:
-        """Local cell (n,) and local coordinates (n, d) of the particles. Local."""
-        raise NotImplementedError
-
-    @property
-    def particle_weights(self) -> FloatArray:
-        """What each particle counts, (n,). Local."""
-        raise NotImplementedError
-
     def gram(self, nodal: FloatArray, out: FloatArray) -> FloatArray:
         """out += G nodal, one column; complete it afterwards. Local."""
-        grid = self.grid
-        if self.has_moments:
-            BY_DIMENSION[grid.dim].gram(self.moments, grid.padded_shape, grid.layout, nodal, out)
+        grid, moments = self.grid, self.moments
+        if moments is not None:
+            BY_DIMENSION[grid.dim].gram(moments, grid.padded_shape, grid.layout, nodal, out)
             return out
-        where = (*self.located,)
+        where = self.located
         seen = np.zeros((len(where[0]), 1))
         geometry = (grid.padded_shape, grid.layout)
         spline.add_interpolated(grid.degree, *where, np.ascontiguousarray(nodal), np.ones(1), *geometry, seen)
@@ -99,8 +95,9 @@ class NodalMapping:
         Local; ghosts still hold what belongs to their owners.
         """
         dim, degree, shape = self.grid.dim, self.grid.degree, self.grid.padded_shape
-        if self.has_moments:
-            stencil.add_moments(self.moments, stencil.moment_terms(dim), shape, layout, entries)
+        moments = self.moments
+        if moments is not None:
+            stencil.add_moments(moments, stencil.moment_terms(dim), shape, layout, entries)
         else:
             offsets = stencil.half_stencil(dim, degree)
             spline.add_gram_entries(degree, *self.located, self.particle_weights, offsets, shape, layout, entries)
@@ -187,9 +184,9 @@ class Mapping(NodalMapping):
         generic.invert(self.weights, self.inverse_weights)
 
     @property
-    def moments(self) -> FloatArray:
-        """Pair moments of own cells, (local_cells, 3^d); one pass over the particles when first asked for."""
-        if self._moments is None:
+    def moments(self) -> FloatArray | None:
+        """On the linear basis pair moments, (local_cells, 3^d); one pass over the particles when first asked for."""
+        if self._moments is None and self._degree == 1:
             self._moments = np.zeros((self.grid.local_cells, 3**self.grid.dim))
             generic.add_moments(self._cell, self._fraction, self.particle_weights, self._moments)
         return self._moments
@@ -265,9 +262,3 @@ def _checked(weight: FloatArray | None, count: int) -> FloatArray | None:
     if wrong.size:
         raise ValueError(f"weight {wrong[0]} must be a finite number above 0, not {weight[wrong[0]]}")
     return weight
-
-
-def __getattr__(name: str):  # type: ignore[no-untyped-def]
-    from mpipic import sweep
-
-    return getattr(sweep, name)

@@ -6,6 +6,7 @@ nodal arrays; `advance` then gives the particles their increments, moves them, a
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from typing import ClassVar
 
@@ -97,13 +98,23 @@ class ParticleSweep(NodalMapping):
         generic.scale_changed(sums, rate, change, self.inverse_weights, out)
         return out
 
+    @property
+    def located(self) -> tuple[IntArray, FloatArray]:
+        """Local cell (n,) and local coordinates (n, d) of the particles. Local; O(n)."""
+        return locate(self.grid, np.ascontiguousarray(self.particles.coordinate))
+
+    @property
+    def particle_weights(self) -> FloatArray:
+        """Ones. Local."""
+        return np.ones(self.particles.count)
+
+    @abstractmethod
     def gradient_sums(self, nodal: FloatArray, out: FloatArray) -> FloatArray:
         """out += ΦᵀD^a nodal: one column to d; complete it afterwards. Local."""
-        raise NotImplementedError
 
+    @abstractmethod
     def divergence_sums(self, nodal: FloatArray, out: FloatArray) -> FloatArray:
         """out += Σ_a ΦᵀD^a nodal_a: d columns to one; complete it afterwards. Local."""
-        raise NotImplementedError
 
     def close(self) -> None:
         """Give the communicator of the routes back to MPI; no `advance` after this. Collective."""
@@ -164,13 +175,13 @@ class ParticleSweep(NodalMapping):
         else:
             self.sums[:, :-1] = 0.0
 
+    @abstractmethod
     def _pass(self, nodal: FloatArray, rates: tuple[float, float], direct: bool, weigh: bool) -> tuple[int, int]:
         """Add the increments, move, list the leavers: how many particles follow one of another cell, how many left."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _deposit(self, start: int, stop: int, weigh: bool) -> None:
         """Add these particles to the sums, and look at their |scalar|."""
-        raise NotImplementedError
 
     def _finish_sums(self, weigh: bool) -> None:
         if weigh:
@@ -277,19 +288,14 @@ class SplineSweep(ParticleSweep):
     one_pass = False
 
     @property
-    def has_moments(self) -> bool:
-        """On no basis."""
-        return False
+    def moments(self) -> None:
+        """None: everything goes by way of the particles."""
+        return None
 
     @property
     def located(self) -> tuple[IntArray, FloatArray]:
         """Local cell (n,) and local coordinates (n, d) of the particles. Local."""
         return self._cell, self._fraction
-
-    @property
-    def particle_weights(self) -> FloatArray:
-        """Ones. Local."""
-        return np.ones(self.particles.count)
 
     @property
     def nbytes(self) -> int:
@@ -368,7 +374,7 @@ class SplineSweep(ParticleSweep):
         self._locate()
 
     def _locate(self) -> None:
-        self._cell, self._fraction = locate(self.grid, np.ascontiguousarray(self.particles.coordinate))
+        self._cell, self._fraction = super().located
 
     def _deposit(self, start: int, stop: int, weigh: bool) -> None:
         particles = self.particles
