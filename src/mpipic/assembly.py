@@ -8,9 +8,9 @@ import numpy as np
 
 from mpipic import filters, formulation, sweep
 from mpipic.filters import ExactFilter, Filter, NodalFilter
-from mpipic.formulation import OnParticles
+from mpipic.formulation import OnParticles, Update
 from mpipic.grid import Grid
-from mpipic.mapping import NodalMapping
+from mpipic.mapping import Mapping, NodalMapping
 from mpipic.particles import Particles
 from mpipic.phases import Phases
 from mpipic.scene import Scene
@@ -18,7 +18,7 @@ from mpipic.sweep import ParticleSweep
 
 if TYPE_CHECKING:
     from mpipic.grid_operators import LowPass
-    from mpipic.schemes import Gas, Integrator, Mass, NodalScheme, PlainScheme
+    from mpipic.schemes import Gas, Integrator, Mass, NodalScheme
 
 
 class Formulation(Protocol):
@@ -67,12 +67,13 @@ def _high_order(scene: Scene, carrier: ParticleSweep) -> Formulation:
     if settings.kind != "svd" or on_grid:
         return build_rates(scene, carrier)
     svd = filters.SvdFilter(carrier)
-    on_particles = OnParticles(carrier, svd)
-    mapping = on_particles.mapping
-    mass = _mass(scene, mapping)
-    integrate, damping = _integrator(scene, symmetric=False), _damping(scene, carrier.grid)
-    plain = schemes.PlainScheme(mapping, _gas(scene), scene.dt, mass, integrate, svd, None, damping)
-    return ReferenceScheme(on_particles, plain)
+
+    def make(mapping: Mapping) -> Update:
+        mass, integrate = _mass(scene, mapping), _integrator(scene, symmetric=False)
+        damping = _damping(scene, carrier.grid)
+        return schemes.PlainScheme(mapping, _gas(scene), scene.dt, mass, integrate, svd, None, damping).step
+
+    return OnParticles(carrier, svd, make)
 
 
 def build_rates(scene: Scene, carrier: ParticleSweep) -> NodalScheme:
@@ -138,26 +139,3 @@ def _damping(scene: Scene, grid: Grid) -> LowPass | None:
 
     travel = scene.damping.strength * scene.gas.sound_speed * scene.dt / np.array(grid.h)
     return LowPass(grid, scene.damping.order, np.minimum(1.0, travel))
-
-
-class ReferenceScheme:
-    """A scheme of high order whose filter only acts on particle values, on the particles of a sweep."""
-
-    def __init__(self, carrier: OnParticles, plain: PlainScheme) -> None:
-        self._carrier, self._plain = carrier, plain
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of mapping and filter."""
-        return self._carrier.nbytes
-
-    def forget(self) -> None:
-        """Follow the particles wherever they have been put. Collective."""
-        self._carrier.mapping.follow(self._carrier.sweep.particles)
-
-    def step(self) -> None:
-        """One time step."""
-        particles = self._carrier.begin()
-        with np.errstate(over="ignore", invalid="ignore"):  # of a run that blows up, which is found and stated
-            self._plain.step(particles.state)
-        self._carrier.end()

@@ -17,8 +17,11 @@ from mpipic import filters
 from mpipic.filters import Filter, NodalFilter
 from mpipic.grid import FloatArray
 from mpipic.mapping import Mapping
-from mpipic.particles import Particles
 from mpipic.sweep import ParticleSweep
+
+
+Update = Callable[[FloatArray], None]
+"""Changes particle values (n, 1 + d) in place."""
 
 
 @dataclass(frozen=True)
@@ -136,42 +139,27 @@ class UnfilteredEuler:
         sweep.advance(self.nodal, (-rates.density, -rates.velocity), direct=True)
 
 
-class ReferenceEuler:
-    """Formulation 2 with a filter that only acts on particle values: `ParticleEuler` on the particles of a sweep.
+class OnParticles:
+    """A step that works on the particle values of a sweep themselves, for filters that know no other way.
+
+    Parameters
+    ----------
+    sweep
+    filter_
+        Its mapping becomes one that follows the particles.
+    make
+        Takes that mapping to the function that updates particle values (n, 1 + d) in place.
 
     Notes
     -----
-    `step` is collective; it maps the particles anew and passes over them nine times.
+    `step` is collective; it maps the particles anew, and with Formulation 2 passes over them nine times.
     """
 
-    def __init__(self, sweep: ParticleSweep, rates: Rates, filter_: Filter) -> None:
-        self._carrier = OnParticles(sweep, filter_)
-        self._plain = ParticleEuler(self._carrier.mapping, rates, filter_)
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of the mapping, of what the filter keeps, and of the nodal work array."""
-        return self._carrier.nbytes
-
-    def forget(self) -> None:
-        """Follow the particles wherever they have been put. Collective."""
-        self._carrier.mapping.follow(self._carrier.sweep.particles)
-
-    def step(self) -> None:
-        """One time step; u is used at t, ρ at t + dt."""
-        particles = self._carrier.begin()
-        with np.errstate(over="ignore", invalid="ignore"):  # of a run that blows up, which is found and stated
-            self._plain.step(particles.field("density"), particles.field("velocity"))
-        self._carrier.end()
-
-
-class OnParticles:
-    """A sweep's particles with a `Mapping` that follows them, for steps that work on particle values themselves."""
-
-    def __init__(self, sweep: ParticleSweep, filter_: Filter) -> None:
+    def __init__(self, sweep: ParticleSweep, filter_: Filter, make: Callable[[Mapping], Update]) -> None:
         self.sweep, self.filter = sweep, filter_
         self.mapping = Mapping.at(sweep.grid, sweep.particles)
         filter_.mapping = self.mapping
+        self._update = make(self.mapping)
         self._nothing = sweep.grid.zeros(1 + sweep.grid.dim)
 
     @property
@@ -179,19 +167,22 @@ class OnParticles:
         """Bytes of the mapping, of what the filter keeps, and of the nodal work array."""
         return self.mapping.nbytes + self.filter.nbytes + self._nothing.nbytes
 
-    def begin(self) -> Particles:
-        """The particles, mapped where they are. Collective."""
-        self.sweep.phase("particles")
-        if self.sweep.moving:
-            self.mapping.follow(self.sweep.particles)
-        return self.sweep.particles
+    def forget(self) -> None:
+        """Follow the particles wherever they have been put. Collective."""
+        self.mapping.follow(self.sweep.particles)
 
-    def end(self) -> None:
-        """Move the particles, as they now are. Collective."""
-        self.sweep.advance(self._nothing, (0.0, 0.0))
+    def step(self) -> None:
+        """One time step: update, then move."""
+        sweep = self.sweep
+        sweep.phase("particles")
+        if sweep.moving:
+            self.mapping.follow(sweep.particles)
+        with np.errstate(over="ignore", invalid="ignore"):  # of a run that blows up, which is found and stated
+            self._update(sweep.particles.state)
+        sweep.advance(self._nothing, (0.0, 0.0))
 
 
-Euler = SymplecticEuler | UnfilteredEuler | ReferenceEuler
+Euler = SymplecticEuler | UnfilteredEuler | OnParticles
 
 
 def symplectic(sweep: ParticleSweep, rates: Rates, settings: Any) -> Euler:
@@ -201,7 +192,13 @@ def symplectic(sweep: ParticleSweep, rates: Rates, settings: Any) -> Euler:
     filter_ = filters.create(settings.kind, sweep, settings)
     if isinstance(filter_, NodalFilter):
         return SymplecticEuler(sweep, rates, filter_)
-    return ReferenceEuler(sweep, rates, filter_)
+
+
+    def make(mapping: Mapping) -> Update:
+        plain = ParticleEuler(mapping, rates, filter_)
+        return lambda state: plain.step(state[:, 0], state[:, 1:])
+
+    return OnParticles(sweep, filter_, make)
 
 
 def _zeroed(array: FloatArray) -> FloatArray:

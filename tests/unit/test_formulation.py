@@ -10,7 +10,7 @@ import pytest
 
 from dense_helpers import Dense, close, pattern, run_euler
 from mpipic.filters import FILTERS
-from mpipic.formulation import ParticleEuler, Rates, ReferenceEuler, SymplecticEuler, UnfilteredEuler, symplectic
+from mpipic.formulation import OnParticles, ParticleEuler, Rates, SymplecticEuler, UnfilteredEuler, symplectic
 from mpipic.mapping import Mapping
 from serial_helpers import SETTINGS, allowed, by_id, grid_of, make, on_nodes, sweep_of
 
@@ -79,7 +79,7 @@ def test_the_step_is_that_on_nodes_where_the_filter_has_a_form_there():
     cells, length, position, *_ = case(1, "random", "at rest")
     steps = {kind: type(fused(kind, sweep_of(grid_of(cells, length), position), (1.0, 1.0))) for kind in KINDS}
     on_nodes = dict.fromkeys(set(KINDS) - {"none", "svd"}, SymplecticEuler)
-    assert steps == {"none": UnfilteredEuler, **on_nodes, "svd": ReferenceEuler}
+    assert steps == {"none": UnfilteredEuler, **on_nodes, "svd": OnParticles}
 
 
 @every_dimension

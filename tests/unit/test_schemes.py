@@ -10,9 +10,8 @@ import pytest
 from mpi4py import MPI
 
 from dense_helpers import close, pattern
-from mpipic.assembly import ReferenceScheme
 from mpipic.filters import FILTERS
-from mpipic.formulation import ReferenceEuler, SymplecticEuler, UnfilteredEuler
+from mpipic.formulation import OnParticles, SymplecticEuler, UnfilteredEuler
 from mpipic.grid import Grid
 from mpipic.grid_operators import CentralDifference, LowPass
 from mpipic.mapping import Mapping
@@ -118,10 +117,10 @@ def test_which_step_is_built_follows_from_the_scheme():
             continue
         built = type(Run(scheme, *box, gas, dt, position, state).formulation)
         if (scheme.mass, scheme.gradient, scheme.integrator) == ("lumped", "direct", "symplectic"):
-            assert built is {"none": UnfilteredEuler, "svd": ReferenceEuler}.get(scheme.filter, SymplecticEuler)
+            assert built is {"none": UnfilteredEuler, "svd": OnParticles}.get(scheme.filter, SymplecticEuler)
         else:
             on_particles = scheme.filter == "svd" and scheme.gradient == "direct"
-            assert built is (ReferenceScheme if on_particles else NodalScheme), label(scheme)
+            assert built is (OnParticles if on_particles else NodalScheme), label(scheme)
 
 
 # ---------------------------------------------------------------- the short form and the plain one
