@@ -19,7 +19,6 @@ from mpipic.grid import FloatArray
 from mpipic.mapping import Mapping
 from mpipic.sweep import ParticleSweep
 
-
 Update = Callable[[FloatArray], None]
 """Changes particle values (n, 1 + d) in place."""
 
