@@ -158,7 +158,7 @@ class OnParticles:
         self.sweep, self.filter = sweep, filter_
         self.mapping = Mapping.at(sweep.grid, sweep.particles)
         filter_.mapping = self.mapping
-        self._update = make(self.mapping)
+        self.update = make(self.mapping)
         self._nothing = sweep.grid.zeros(1 + sweep.grid.dim)
 
     @property
@@ -177,7 +177,7 @@ class OnParticles:
         if sweep.moving:
             self.mapping.follow(sweep.particles)
         with np.errstate(over="ignore", invalid="ignore"):  # of a run that blows up, which is found and stated
-            self._update(sweep.particles.state)
+            self.update(sweep.particles.state)
         sweep.advance(self._nothing, (0.0, 0.0))
 
 
@@ -191,7 +191,6 @@ def symplectic(sweep: ParticleSweep, rates: Rates, settings: Any) -> Euler:
     filter_ = filters.create(settings.kind, sweep, settings)
     if isinstance(filter_, NodalFilter):
         return SymplecticEuler(sweep, rates, filter_)
-
 
     def make(mapping: Mapping) -> Update:
         plain = ParticleEuler(mapping, rates, filter_)
