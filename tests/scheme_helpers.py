@@ -24,12 +24,12 @@ def matrix_of(grid, mapping):
     """G as a matrix (m, m) from half of its diagonals, on a padding of another width than the grid's own."""
     offsets = stencil.half_stencil(grid.dim, grid.degree)
     halo = Halo(grid.comm, grid.cells, grid.starts, 3)
-    entries = np.zeros((len(offsets), halo.local_nodes))
+    entries = np.zeros((halo.local_nodes, len(offsets)))
     mapping.add_gram_entries(halo.layout, entries)
-    halo.add(*entries)
+    halo.add(entries)
     number = np.arange(grid.node_count).reshape(grid.cells)
     matrix = np.zeros((grid.node_count,) * 2)
-    for offset, row in zip(offsets[:, : grid.dim], entries):
+    for offset, row in zip(offsets[:, : grid.dim], entries.T.copy()):
         entry = halo.own(row).transpose().ravel()
         there = np.roll(number, -offset, axis=tuple(range(grid.dim))).ravel()
         np.add.at(matrix, (number.ravel(), there), entry)

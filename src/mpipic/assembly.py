@@ -18,7 +18,8 @@ from mpipic.sweep import ParticleSweep
 
 if TYPE_CHECKING:
     from mpipic.grid_operators import LowPass
-    from mpipic.schemes import Gas, Integrator, Mass, NodalScheme
+    from mpipic.mass import Mass
+    from mpipic.schemes import Gas, Integrator, NodalScheme
 
 
 class Formulation(Protocol):
@@ -104,11 +105,11 @@ def _gas(scene: Scene) -> Gas:
 
 
 def _mass(scene: Scene, mapping: NodalMapping) -> Mass:
-    from mpipic import schemes
+    from mpipic.mass import LeastSquaresMass, LumpedMass, penalty_of
 
     if scene.mapping.mass == "lumped":
-        return schemes.LumpedMass(mapping)
-    return schemes.LeastSquaresMass(mapping, scene.filter.tolerance, schemes.penalty_of(scene.mapping))
+        return LumpedMass(mapping)
+    return LeastSquaresMass(mapping, scene.filter.tolerance, penalty_of(scene.mapping))
 
 
 def _integrator(scene: Scene, symmetric: bool) -> Integrator:
@@ -123,7 +124,7 @@ def _integrator(scene: Scene, symmetric: bool) -> Integrator:
 
 def _filter(scene: Scene, carrier: ParticleSweep, mass: object) -> NodalFilter:
     """The scene's filter; the exact one shares the solver of a least-squares mass without penalty."""
-    from mpipic.schemes import LeastSquaresMass
+    from mpipic.mass import LeastSquaresMass
 
     made: Filter = filters.create(scene.filter.kind, carrier, scene.filter)
     assert isinstance(made, NodalFilter)

@@ -8,12 +8,15 @@ from __future__ import annotations
 import os
 import shlex
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mpipic.errors import NotConverged, Refused
 from mpipic.runtime import ANNOUNCED, launched_rank, start
 
 if TYPE_CHECKING:
@@ -81,6 +84,20 @@ def _refuse(text: str, comm: Any, code: int = BAD_INPUT) -> typer.Exit:
     return typer.Exit(code)
 
 
+@contextmanager
+def _stating(comm: Any) -> Iterator[None]:
+    """Leave a verb that cannot go on with the error's own words, said once, and its exit code; no traceback.
+
+    For errors that all ranks raise together; one rank's alone would leave the others waiting.
+    """
+    try:
+        yield
+    except Refused as error:
+        raise _refuse(str(error), comm) from None
+    except NotConverged as error:
+        raise _refuse(str(error), comm, NOT_CONVERGED) from None
+
+
 @app.command()
 def run(
     scene: SceneFile = None,
@@ -95,23 +112,12 @@ def run(
 ) -> None:
     """Run a scene: errors, times and pictures go to a run directory."""
     comm = start()
-    from mpipic.scene import SceneError
-
-    try:
+    with _stating(comm):
         loaded = _load(scene, set_, comm, preset)
         from mpipic import runner
         from mpipic.console import Console
-        from mpipic.errors import NotConverged
-        from mpipic.output import OutputError
 
-        try:
-            code = runner.run(loaded, comm, output, overwrite, Console(comm, quiet), plots)
-        except OutputError as error:
-            raise _refuse(str(error), comm) from None
-        except NotConverged as error:
-            raise _refuse(str(error), comm, NOT_CONVERGED) from None
-    except SceneError as error:
-        raise _refuse(str(error), comm) from None
+        code = runner.run(loaded, comm, output, overwrite, Console(comm, quiet), plots)
     raise typer.Exit(code)
 
 
@@ -119,9 +125,7 @@ def run(
 def check(scene: SceneFile = None, set_: Overrides = None, preset: Preset = None) -> None:
     """Say what a scene builds, what it leaves out, and the memory it takes, without running it."""
     comm = start()
-    from mpipic.scene import SceneError
-
-    try:
+    with _stating(comm):
         loaded = _load(scene, set_, comm, preset)
         from mpipic import advice
         from mpipic.console import Console
@@ -131,8 +135,6 @@ def check(scene: SceneFile = None, set_: Overrides = None, preset: Preset = None
         _check_particle_file(loaded, comm)
         check_filter(loaded, loaded.particle_count or 0, comm)
         Console(comm).banner(advice.describe(loaded, comm))
-    except SceneError as error:
-        raise _refuse(str(error), comm) from None
 
 
 FilterNames = Annotated[
@@ -154,23 +156,16 @@ def spectrum(
 ) -> None:
     """Say what one application of each filter keeps of every wave, on a scene's particles."""
     comm = start()
-    from mpipic.scene import SceneError
-
-    try:
+    with _stating(comm):
         loaded = _load(scene, set_, comm)
         from mpipic import spectrum as verb
         from mpipic.console import Console
         from mpipic.filter_choice import choose
-        from mpipic.output import OutputError, RunDirectory
+        from mpipic.output import RunDirectory
 
-        try:
-            choices = choose(names or (), loaded, loaded.particle_count or 0)
-            folder = output or RunDirectory.default(f"{loaded.name}-spectrum", comm)
-            verb.run(loaded, choices, comm, Console(comm), folder, plots, phase)
-        except OutputError as error:
-            raise _refuse(str(error), comm) from None
-    except SceneError as error:
-        raise _refuse(str(error), comm) from None
+        choices = choose(names or (), loaded, loaded.particle_count or 0)
+        folder = output or RunDirectory.default(f"{loaded.name}-spectrum", comm)
+        verb.run(loaded, choices, comm, Console(comm), folder, plots, phase)
 
 
 @app.command()
@@ -182,9 +177,7 @@ def filters(
 ) -> None:
     """Compare the filters on a scene's particles: cost, and distance from the exact projection."""
     comm = start()
-    from mpipic.scene import SceneError
-
-    try:
+    with _stating(comm):
         loaded = _load(scene, set_, comm)
         from mpipic import comparison
         from mpipic.console import Console
@@ -192,8 +185,6 @@ def filters(
 
         choices = choose(names or (), loaded, loaded.particle_count or 0)
         comparison.run(loaded, choices, comm, Console(comm), output)
-    except SceneError as error:
-        raise _refuse(str(error), comm) from None
 
 
 @app.command()
@@ -218,15 +209,11 @@ def study(
         raise _refuse("a study runs on one process and starts the ranks of its points itself: leave out mpiexec", here)
     from mpipic import study as verb
     from mpipic.console import Console
-    from mpipic.output import OutputError
-    from mpipic.scene import SceneError
 
     words = ["mpipic", "study", str(file), *(["--output", str(output)] if output else [])]
     words += [word for aim in aims or () for word in ("--recommend", aim)]
-    try:
+    with _stating(here):
         code = verb.run(file, output, aims or (), fresh, retry, shlex.join(words), Console(here))
-    except (SceneError, OutputError) as error:
-        raise _refuse(str(error), here) from None
     raise typer.Exit(code)
 
 
@@ -249,34 +236,24 @@ def stability(
 ) -> None:
     """Compute by how much a scene's scheme grows per step, and when rounding noise blows it up."""
     comm = start()
-    from mpipic.errors import NotConverged
-    from mpipic.scene import SceneError
-
-    try:
+    with _stating(comm):
         loaded = _load(scene, set_, comm, preset)
         from mpipic import stability as verb
         from mpipic import stability_map
         from mpipic.console import Console
         from mpipic.filter_choice import choose
-        from mpipic.output import OutputError, RunDirectory
+        from mpipic.output import RunDirectory
 
-        try:
-            if maps:
-                axes = [stability_map.parse_axis(text) for text in maps]
-                own = loaded.filter.kind
-                choices = choose(names or [own], loaded, loaded.particle_count or 0, unfiltered=True)
-                folder = output or RunDirectory.default(f"{loaded.name}-stability", comm)
-                stability_map.run(loaded, axes, choices, comm, Console(comm), folder, max_period)
-            else:
-                if round_flow:
-                    loaded = stability_map.with_flow(loaded, max_period)
-                verb.run(loaded, comm, Console(comm), output, max_period)
-        except OutputError as error:
-            raise _refuse(str(error), comm) from None
-        except NotConverged as error:
-            raise _refuse(str(error), comm, NOT_CONVERGED) from None
-    except SceneError as error:
-        raise _refuse(str(error), comm) from None
+        if maps:
+            axes = [stability_map.parse_axis(text) for text in maps]
+            own = loaded.filter.kind
+            choices = choose(names or [own], loaded, loaded.particle_count or 0, unfiltered=True)
+            folder = output or RunDirectory.default(f"{loaded.name}-stability", comm)
+            stability_map.run(loaded, axes, choices, comm, Console(comm), folder, max_period)
+        else:
+            if round_flow:
+                loaded = stability_map.with_flow(loaded, max_period)
+            verb.run(loaded, comm, Console(comm), output, max_period)
 
 
 @app.command()
@@ -310,9 +287,8 @@ def bench(
     comm = start()
     from mpipic import bench as benchmark
     from mpipic.console import Console
-    from mpipic.scene import SceneError
 
-    try:
+    with _stating(comm):
         plan = benchmark.Plan(
             tuple(dim or (1, 2, 3)),
             int(particles),
@@ -324,8 +300,6 @@ def bench(
             tolerance,
         )
         benchmark.run(plan, comm, Console(comm), output)
-    except SceneError as error:
-        raise _refuse(str(error), comm) from None
 
 
 def main() -> None:

@@ -194,7 +194,7 @@ def _cells(row: Row) -> list[str]:
 def _note(row: Row) -> str | None:
     """What the filter says about itself, in words."""
     if row.kind == "exact":
-        return f"exact: {max(row.facts['iterations'])} iterations to a residual of {row.facts['tolerance']:g}"
+        return f"exact: {row.facts['iterations']} iterations to a residual of {row.facts['tolerance']:g}"
     if row.kind == "svd":
         from mpipic.singular import describe
 

@@ -1,5 +1,9 @@
 """Errors that callers tell apart, without anything that is slow to import."""
 
 
+class Refused(Exception):
+    """Input that cannot be used or output that cannot be written; the message says which, and why."""
+
+
 class NotConverged(ArithmeticError):
     """A solver missed its tolerance; the message names what it reached, and after how many iterations."""

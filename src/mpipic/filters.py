@@ -100,8 +100,9 @@ class NodalFilter(Filter):
         out
             Where to put the result, shape of `sums`.
         series
-            Calls with the same `series` are one quantity at equally spaced times, which is where solvers take their
-            first guess from. None: nothing is remembered, and equal arguments give equal results.
+            Calls with the same `series` are one quantity, a scalar or the components of a vector, at equally spaced
+            times, which is where solvers take their first guess from. None: each column is a quantity of its own,
+            nothing is remembered, and equal arguments give equal results.
         """
 
     def apply(self, q: FloatArray) -> FloatArray:
@@ -234,7 +235,7 @@ class ExactFilter(NodalFilter):
     Parameters
     ----------
     tolerance
-        Relative residual; see `mpipic.gram.GramSolver`, whose PETSc options begin with ``-filter_``.
+        Relative residual; see `mpipic.gram_solver.GramSolver`, whose PETSc options begin with ``-filter_``.
 
     Raises
     ------
@@ -256,29 +257,28 @@ class ExactFilter(NodalFilter):
     def __init__(self, mapping: NodalMapping, tolerance: float = 1e-10) -> None:
         super().__init__(mapping)
         self.tolerance = tolerance
-        self.iterations: list[int] = []
+        self.iterations = 0
 
     @cached_property
     def solver(self) -> Any:
         """The Gram solver, made when first used."""
-        from mpipic.gram import GramSolver
+        from mpipic.gram_solver import GramSolver
 
         return GramSolver(self.mapping, self.tolerance)
 
     def coefficients(
         self, sums: FloatArray, out: FloatArray | None = None, series: Hashable | None = None
     ) -> FloatArray:
-        """G⁺ sums, column by column; zero on nodes that no particle sees. Collective."""
-        result = np.empty(sums.shape) if out is None else out
-        wide, answer = sums.reshape(len(sums), -1), result.reshape(len(sums), -1)
+        """G⁺ sums, all columns together; zero on nodes that no particle sees. Collective."""
         self.mapping.phase("filter")
-        self.iterations = []
-        for column in range(wide.shape[1]):
-            name = None if series is None else (series, column)
-            answer[:, column] = self.solver.solve(wide[:, column], name)
-            self.iterations.append(self.solver.iterations)
+        together = None if series is None else (sums.size // len(sums),)
+        answer: FloatArray = self.solver.solve(sums, series, together)
+        self.iterations = self.solver.iterations
         self.mapping.phase("nodes")
-        return result
+        if out is None:
+            return answer
+        out[...] = answer
+        return out
 
     def forget(self) -> None:
         """Begin every series anew. Local."""
@@ -290,8 +290,8 @@ class ExactFilter(NodalFilter):
         return int(self.solver.nbytes)
 
     def facts(self) -> dict[str, Any]:
-        """Iterations of the last application, one number a column."""
-        return {"iterations": list(self.iterations), "tolerance": self.tolerance}
+        """Iterations of the last application, and the relative residual they go to."""
+        return {"iterations": self.iterations, "tolerance": self.tolerance}
 
 
 class SvdFilter(Filter):

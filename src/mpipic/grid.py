@@ -164,13 +164,19 @@ class Grid:
 
         What is divided by it rounds nothing, and neither over- nor underflows in products. Collective; one reduction.
         """
-        largest = max(float(numbers.max(initial=0.0)), -float(numbers.min(initial=0.0)))
+        return float(self.sizes_of(numbers.reshape(1, -1))[0])
+
+    def sizes_of(self, rows: FloatArray) -> FloatArray:
+        """`size_of` for each of several rows (k, n), in one reduction: (k,)."""
+        largest = np.maximum(rows.max(axis=1, initial=0.0), -rows.min(axis=1, initial=0.0))
         # what MAX makes of a NaN differs between MPIs: infinity stands in for it
-        facts = np.array([largest if math.isfinite(largest) else math.inf])
-        largest = float(self.reduce(facts, MPI.MAX)[0])
-        if largest == math.inf:
-            return largest
-        return math.ldexp(1.0, math.frexp(largest)[1] - 1) if largest else 1.0
+        largest = self.reduce(np.where(np.isfinite(largest), largest, np.inf), MPI.MAX)
+        with np.errstate(divide="ignore"):
+            return np.where(
+                (largest > 0.0) & (largest < np.inf),
+                np.ldexp(1.0, np.frexp(largest)[1] - 1),
+                largest + (largest == 0.0),
+            )
 
     def cell_of(self, coordinate: FloatArray) -> npt.NDArray[np.int64]:
         """Global cell (n, d) of coordinates (n, d), by the arithmetic of the compiled loops. Local."""

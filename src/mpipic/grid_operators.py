@@ -10,7 +10,7 @@ from math import comb, factorial
 import numpy as np
 
 from mpipic.grid import FloatArray, Grid
-from mpipic.halo import Halo
+from mpipic.halo import Halo, PaddedColumns
 from mpipic.kernels import stencil
 
 
@@ -35,11 +35,11 @@ def low_pass_weights(order: int, strength: float) -> FloatArray:
 
 
 class _Stencil:
-    """A padded copy of a column, wide enough for the stencils applied to it."""
+    """Padded copies of columns, wide enough for the stencils applied to them."""
 
     def __init__(self, grid: Grid, width: int) -> None:
         self.grid, self.halo = grid, Halo(grid.comm, grid.cells, grid.starts, width)
-        self._values = np.zeros(self.halo.local_nodes)
+        self._values = PaddedColumns(self.halo)
         self._result = np.empty(grid.local_cells)
 
     @property
@@ -47,9 +47,9 @@ class _Stencil:
         """Bytes of the work arrays."""
         return self._values.nbytes + self._result.nbytes
 
-    def _load(self, column: FloatArray) -> None:
-        self.halo.own(self._values)[...] = self.grid.nodes.own(column)
-        self.halo.fill(self._values)
+    def _load(self, nodal: FloatArray) -> FloatArray:
+        """The columns (local_nodes, k) padded, (k, padded nodes)."""
+        return self._values.load(np.moveaxis(self.grid.nodes.own(nodal), -1, 0))
 
     def _store(self, out: FloatArray) -> None:
         block = self.grid.nodes.own(out)
@@ -71,18 +71,18 @@ class CentralDifference(_Stencil):
         self._weights = difference_weights(order)
         self._strides = (1, *self.halo.layout[1:])
 
-    def _along(self, axis: int) -> FloatArray:
+    def _along(self, axis: int, values: FloatArray) -> FloatArray:
         weights = self._weights * self.grid.inverse_h[axis]
         stride, shape = self._strides[axis], self.grid.padded_shape
-        stencil.difference(self._values, weights, stride, shape, self.halo.layout, self._result)
+        stencil.difference(values, weights, stride, shape, self.halo.layout, self._result)
         return self._result
 
     def gradient(self, nodal: FloatArray) -> FloatArray:
         """∂_a nodal: (local_nodes, 1) to (local_nodes, d), right on own and ghost nodes. Collective on neighbours."""
         out = self.grid.zeros(self.grid.dim)
-        self._load(nodal[:, 0])
+        (values,) = self._load(nodal)
         for axis in range(self.grid.dim):
-            self._along(axis)
+            self._along(axis, values)
             self._store(out[:, axis])
         self.grid.fill_halo(out)
         return out
@@ -91,9 +91,8 @@ class CentralDifference(_Stencil):
         """Σ_a ∂_a nodal_a: (local_nodes, d) to (local_nodes, 1), right on own and ghost nodes. Collective."""
         out = self.grid.zeros(1)
         block = self.grid.nodes.own(out)[..., 0]
-        for axis in range(self.grid.dim):
-            self._load(nodal[:, axis])
-            block += self._along(axis).reshape(block.shape)
+        for axis, values in enumerate(self._load(nodal)):
+            block += self._along(axis, values).reshape(block.shape)
         self.grid.fill_halo(out)
         return out
 
@@ -119,14 +118,12 @@ class LowPass(_Stencil):
         self._plane, self._line = np.empty(int(np.prod(shape[:2]))), np.empty(shape[0])
 
     def change(self, nodal: FloatArray) -> FloatArray:
-        """(H - 1) nodal, column by column, right on own and ghost nodes. Collective; one halo exchange a column."""
+        """(H - 1) nodal, column by column, right on own and ghost nodes. Collective; one halo exchange."""
         out = np.zeros(nodal.shape)
-        for column in range(nodal.shape[1]):
-            self._load(nodal[:, column])
+        for column, values in enumerate(self._load(nodal)):
             stencil.convolve(
-                self._values, self._weights, self.grid.padded_shape, self.halo.layout, self._plane, self._line,
-                self._result,
-            )  # fmt: skip
+                values, self._weights, self.grid.padded_shape, self.halo.layout, self._plane, self._line, self._result
+            )
             self._result -= self.grid.nodes.own(nodal[:, column]).ravel()
             self._store(out[:, column])
         self.grid.fill_halo(out)

@@ -21,8 +21,8 @@ Exchange = Callable[[MPI.Datatype, FloatArray, FloatArray, MPI.Op], None]
 class Halo:
     """A rank's block of nodes with `width` ghost nodes on either side of every axis.
 
-    Padded arrays are C-contiguous, x fastest: (local_nodes,), (local_nodes, k), or, for a column by itself, one row of
-    (k, local_nodes).
+    Padded arrays are C-contiguous, x fastest: (local_nodes,) or (local_nodes, k). Columns that are kept apart, (k,
+    local_nodes), are exchanged by `fill_rows`.
 
     Parameters
     ----------
@@ -76,24 +76,25 @@ class Halo:
         )
         self.exchanges = 0
         self._units: dict[int, MPI.Datatype] = {}
-        self._join(cells, starts, sizes, (width, width) if reach is None else reach)
+        self._find(cells, starts, sizes, (width, width) if reach is None else reach)
+        self._forest = self._join(1)
+        self._forests = {1: self._forest}
 
-    def _join(
+    def _find(
         self,
         cells: Sequence[int],
         starts: Sequence[npt.NDArray[np.int64]],
         sizes: Sequence[npt.NDArray[np.int64]],
         reach: tuple[int, int],
     ) -> None:
-        """The star forest: ghosts within reach are leaves, each of the node at its owner that it is a copy of."""
+        """Ghosts within reach; of each its owner, where it is in the owner's array, and how large that is."""
         index = np.arange(self.local_nodes).reshape(self.ghost_shape[::-1])
         ghost = np.zeros(self.local_nodes, dtype=bool)
         ghost[self.block(index, reach).ravel()] = True
         ghost[self.block(index).ravel()] = False
-        leaves = np.flatnonzero(ghost).astype(PETSc.IntType)
-        owner = np.zeros(leaves.size, dtype=np.int64)
-        root = np.zeros(leaves.size, dtype=np.int64)
-        ranks, stride, rest = 1, np.ones(leaves.size, dtype=np.int64), leaves.astype(np.int64)
+        leaves = np.flatnonzero(ghost)
+        owner, root = np.zeros((2, leaves.size), dtype=np.int64)
+        ranks, stride, rest = 1, np.ones(leaves.size, dtype=np.int64), leaves
         for axis, n in enumerate(cells):
             rest, along = np.divmod(rest, self.ghost_shape[axis])
             node = np.mod(self.owned_start[axis] - self.width + along, n)
@@ -103,10 +104,20 @@ class Halo:
             ranks *= len(sizes[axis])
             stride = stride * (sizes[axis][block] + 2 * self.width)
         self.neighbours = int(np.setdiff1d(owner, [self.comm.rank]).size)
-        self._forest = PETSc.SF().create(self.comm)
-        remote = np.stack([owner, root], axis=1).astype(PETSc.IntType)
-        self._forest.setGraph(self.local_nodes, leaves, remote.ravel())
-        self._forest.setUp()
+        self._ghosts = (leaves, owner, root, stride)
+
+    def _join(self, rows: int) -> PETSc.SF:
+        """The star forest of arrays (rows, local_nodes): ghosts are leaves, each of the node that it is a copy of."""
+        leaves, owner, root, nodes = self._ghosts
+        row = np.arange(rows)[:, None]
+        local = (row * self.local_nodes + leaves).ravel()
+        remote = np.stack([np.tile(owner, rows), (row * nodes + root).ravel()], axis=1)
+        forest = PETSc.SF().create(self.comm)
+        forest.setGraph(
+            rows * self.local_nodes, local.astype(PETSc.IntType), remote.astype(PETSc.IntType).ravel()
+        )  # fmt: skip
+        forest.setUp()
+        return forest
 
     def block(self, array: np.ndarray, reach: tuple[int, int] = (0, 0)) -> np.ndarray:
         """View of the own nodes, and of `reach` below and above, of an array shaped like ghost_shape reversed."""
@@ -116,6 +127,10 @@ class Halo:
     def own(self, padded: np.ndarray) -> np.ndarray:
         """View of the own nodes of a padded array (local_nodes, ...): (z, y, x, ...), axes there are. Local."""
         return self.block(padded.reshape(self.ghost_shape[::-1] + padded.shape[1:]))
+
+    def own_rows(self, rows: np.ndarray) -> np.ndarray:
+        """View of the own nodes of rows (k, local_nodes): (k, z, y, x), axes there are. Local."""
+        return np.moveaxis(self.own(rows.T), -1, 0)
 
     def add(self, *padded: FloatArray) -> None:
         """Add what ghosts hold into their owners, in place; ghosts keep their own share.
@@ -127,6 +142,15 @@ class Halo:
     def fill(self, *padded: FloatArray) -> None:
         """Copy the owners' values to their ghosts, in place. Collective; messages as for `add`."""
         self._exchange(self._forest.bcastBegin, self._forest.bcastEnd, MPI.REPLACE, padded)
+
+    def fill_rows(self, padded: FloatArray) -> None:
+        """As `fill`, for the rows of one array (k, local_nodes). Collective; one message to each neighbour."""
+        rows = len(padded)
+        if rows not in self._forests:
+            self._forests[rows] = self._join(rows)
+        self.exchanges += 1
+        self._forests[rows].bcastBegin(MPI.DOUBLE, padded, padded, MPI.REPLACE)
+        self._forests[rows].bcastEnd(MPI.DOUBLE, padded, padded, MPI.REPLACE)
 
     def _exchange(self, begin: Exchange, end: Exchange, how: MPI.Op, arrays: Sequence[FloatArray]) -> None:
         self.exchanges += len(arrays)
@@ -143,3 +167,29 @@ class Halo:
         if columns not in self._units:
             self._units[columns] = MPI.DOUBLE.Create_contiguous(columns).Commit()
         return self._units[columns]
+
+
+class PaddedColumns:
+    """Work arrays for padded copies of columns of own values, ghosts filled: one for every number of columns used."""
+
+    def __init__(self, halo: Halo) -> None:
+        self.halo = halo
+        self._arrays: dict[int, FloatArray] = {}
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the arrays."""
+        return sum(array.nbytes for array in self._arrays.values())
+
+    def load(self, own: FloatArray) -> FloatArray:
+        """A padded copy (k, local_nodes) of own values (k, z, y, x) or (k, own nodes), valid until the next.
+
+        Collective; one halo exchange.
+        """
+        if len(own) not in self._arrays:
+            self._arrays[len(own)] = np.zeros((len(own), self.halo.local_nodes))
+        rows = self._arrays[len(own)]
+        block = self.halo.own_rows(rows)
+        block[...] = own.reshape(block.shape)
+        self.halo.fill_rows(rows)
+        return rows

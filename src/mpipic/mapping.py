@@ -90,7 +90,7 @@ class NodalMapping(ABC):
         return self.complete(out)
 
     def add_gram_entries(self, layout: tuple[int, int, int], entries: FloatArray) -> None:
-        """entries += half of G's diagonals in a padding of `layout` (see `kernels.stencil`).
+        """entries (nodes, h) += half of G's rows in a padding of `layout` (see `kernels.stencil`).
 
         Local; ghosts still hold what belongs to their owners.
         """
@@ -99,8 +99,7 @@ class NodalMapping(ABC):
         if moments is not None:
             stencil.add_moments(moments, stencil.moment_terms(dim), shape, layout, entries)
         else:
-            offsets = stencil.half_stencil(dim, degree)
-            spline.add_gram_entries(degree, *self.located, self.particle_weights, offsets, shape, layout, entries)
+            spline.add_gram_entries(degree, *self.located, self.particle_weights, shape, layout, entries)
 
     def complete(self, sums: FloatArray) -> FloatArray:
         """Nodal sums made right on own and ghost nodes: one halo sum, one fill. Collective on neighbours."""

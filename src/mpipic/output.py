@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from mpipic import openpmd
+from mpipic.errors import Refused
 
 SCENE, SUMMARY, HISTORY = "scene.toml", "summary.json", "history.csv"
 PARTICLES, ERROR_PLOT, SOLUTION_PLOT = "particles.h5", "error.png", "solution.png"
@@ -37,7 +38,7 @@ PIECE_BYTES = 8 << 20
 ARRIVAL_SECONDS = 2.0
 
 
-class OutputError(RuntimeError):
+class OutputError(Refused):
     """Output that cannot be written, with the path and the reason; raised on all ranks together."""
 
 

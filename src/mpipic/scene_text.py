@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any
 
+from mpipic.errors import Refused
+
 LONGEST_SHOWN = 80
 DEEPEST_SHOWN = 3
 # Two ways of saying one thing: an override of one replaces the other that the file gave.
@@ -52,7 +54,7 @@ class Problem:
         return text if self.suggestion is None else f'{text}. Did you mean "{escape(self.suggestion)}"?'
 
 
-class SceneError(Exception):
+class SceneError(Refused):
     """A scene that cannot be used. `problems` holds everything found; `str()` gives them all, one per line.
 
     Can be pickled, so that one rank can read the scene and tell the others.

@@ -6,7 +6,7 @@ Positions are frozen within a step, and every change of particle values is Φ ti
 filter, D times nodal fields). So all stages of an integrator run on nodal arrays: one pass maps the particles, one
 gives them their increments. Three choices make a scheme:
 
-- a `Mass` takes the sums Φᵀq to nodal fields, and says how these answer to an increment Φ a of the particles;
+- a `Mass` (mpipic.mass) takes the sums Φᵀq to nodal fields, and says how these answer to an increment Φ a;
 - `Slopes` take nodal fields to the coefficients of the filtered particle gradient;
 - an integrator combines stages, each a function of the nodal state (ρ, u) in one array (local_nodes, 1 + d).
 
@@ -18,7 +18,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from mpi4py import MPI
@@ -27,10 +27,8 @@ from mpipic.filters import Filter, NodalFilter
 from mpipic.grid import FloatArray, Grid
 from mpipic.grid_operators import CentralDifference, LowPass
 from mpipic.mapping import Mapping, NodalMapping
+from mpipic.mass import Mass
 from mpipic.sweep import ParticleSweep, SplineSweep
-
-if TYPE_CHECKING:
-    from mpipic.gram import Penalty
 
 
 @dataclass(frozen=True)
@@ -39,87 +37,6 @@ class Gas:
 
     density: float
     stiffness: float
-
-
-# ---------------------------------------------------------------- nodal fields
-
-
-class Mass(ABC):
-    """How particle values become nodal fields."""
-
-    @abstractmethod
-    def fields(self, sums: FloatArray, name: str) -> FloatArray:
-        """Nodal fields from Φᵀq, (local_nodes, k); `name` tells series apart. Collective."""
-
-    @abstractmethod
-    def response(self, coefficients: FloatArray) -> FloatArray:
-        """What the nodal fields gain when the particles gain Φ times the coefficients. Collective."""
-
-    def forget(self) -> None:
-        """Begin every series anew. Local."""
-        return
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes held."""
-        return 0
-
-
-class LumpedMass(Mass):
-    """S = diag(d)⁻¹ Φᵀ, weighted means; answers with SΦ."""
-
-    def __init__(self, mapping: NodalMapping) -> None:
-        self.mapping = mapping
-
-    def fields(self, sums: FloatArray, name: str) -> FloatArray:
-        """diag(d)⁻¹ sums. Local."""
-        return self.mapping.divide(np.ascontiguousarray(sums))
-
-    def response(self, coefficients: FloatArray) -> FloatArray:
-        """SΦ coefficients. Collective on neighbours."""
-        return self.mapping.divide(self.mapping.apply_gram(coefficients))
-
-
-class LeastSquaresMass(Mass):
-    """(G + penalty)⁻¹ Φᵀ: the field that fits the particles best, and if penalised, is smooth where they say little.
-
-    Without a penalty, G⁺ΦᵀΦ = 1 but for what no particle sees: the fields answer with the coefficients themselves. With
-    one, the method is defined so.
-    """
-
-    def __init__(self, mapping: NodalMapping, tolerance: float, penalty: Penalty | None = None) -> None:
-        from mpipic.gram import GramSolver
-
-        self.solver = GramSolver(mapping, tolerance, "mass_", penalty)
-        self.penalised = penalty is not None
-
-    def fields(self, sums: FloatArray, name: str) -> FloatArray:
-        """(G + penalty)⁻¹ sums, column by column. Collective.
-
-        On a singular G what no particle sees is left as small as the solver leaves it that begins at zero; only a
-        penalty, which leaves one solution, allows a guess from earlier steps.
-        """
-        out = np.empty(sums.shape)
-        for column in range(sums.shape[1]):
-            series = (name, column) if self.penalised else None
-            out[:, column] = self.solver.solve(sums[:, column], series)
-        return out
-
-    def response(self, coefficients: FloatArray) -> FloatArray:
-        """The coefficients. Local."""
-        return coefficients
-
-    def forget(self) -> None:
-        """Begin every series anew. Local."""
-        self.solver.forget()
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of the solver."""
-        return self.solver.nbytes
-
-
-# ---------------------------------------------------------------- gradients
 
 
 class Rate(NamedTuple):
@@ -407,9 +324,8 @@ class NodalScheme(Rates):
     def step(self) -> None:
         """One time step."""
         sweep = self.sweep
-        rho_sums, u_sums = sweep.state_sums
         sweep.phase("filter")
-        start = np.concatenate([self.mass.fields(rho_sums, "density"), self.mass.fields(u_sums, "velocity")], axis=1)
+        start = self.mass.fields(sweep.sums[:, :-1], "state", (1, self.dim))
         sweep.phase("nodes")
         with np.errstate(over="ignore", invalid="ignore"):  # of a run that blows up, which is found and stated
             change, end = self.integrate(self, start, self.dt)
@@ -448,7 +364,7 @@ class PlainScheme(Rates):
         end = self.integrate(self, state, self.dt).end
         state[...] = end
         if self.damping is not None:
-            fields = self.mass.fields(self.mapping.sums(state), "end")
+            fields = self.mass.fields(self.mapping.sums(state), "end", (1, self.dim))
             state += self.mapping.g2p(self.damping.change(fields))
 
     def density(self, state: State, stage: int) -> Rate:
@@ -480,10 +396,3 @@ class PlainScheme(Rates):
     def spread(self, own: FloatArray) -> FloatArray:
         """On own particles."""
         return own[:, None]
-
-
-def penalty_of(settings: Any) -> Penalty | None:
-    """The penalty that a record like the scene's [mapping] section asks for."""
-    from mpipic.gram import Penalty
-
-    return Penalty(settings.penalty, settings.penalty_order) if settings.mass == "penalised" else None

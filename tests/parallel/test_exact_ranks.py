@@ -55,7 +55,7 @@ def test_iterations_do_not_depend_on_the_number_of_ranks(answers: Answers, case:
     counts = []
     for ranks in RANKS:
         everywhere = answers(case, ranks)["iterations"]
-        assert everywhere.shape == (2, ranks, 2), "two positions, the ranks, two columns"
+        assert everywhere.shape == (2, ranks), "two positions, the ranks"
         assert np.all(everywhere == everywhere[:, :1]), "all ranks of a run count the same"
         counts.append(everywhere[:, 0])
     assert np.min(counts) > 3, "nothing to solve"

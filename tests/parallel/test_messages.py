@@ -111,8 +111,8 @@ def test_halo_messages_of_a_rank_do_not_grow_with_the_number_of_ranks(facts: Fac
     assert most[8] <= 3 * most[2], "2 x 4 blocks: across a side, across the other, across the corner"
 
 
-# a step of the exact filter solves for the divergence and for both components of the gradient
-SOLVES = 3 * STEPS
+# a step of the exact filter solves for the divergence, and for both components of the gradient together
+SOLVES = 2 * STEPS
 
 
 @pytest.mark.parametrize("ranks", RANKS)
@@ -133,9 +133,9 @@ def test_the_exact_filter_reduces_once_a_move_twice_a_solve_and_twice_an_iterati
 def test_an_iteration_of_the_exact_filter_exchanges_the_halo_twice(facts: Facts, ranks: int) -> None:
     for rank, local in zip(*(facts(ranks)["step"][kind]["ranks"] for kind in ("exact", "local")), strict=True):
         events = rank["events"]
-        assert events["SFReduceBegin"] == local["events"]["SFReduceBegin"] + 5 * STEPS, "half a stencil of 9 points"
+        assert events["SFReduceBegin"] == local["events"]["SFReduceBegin"] + STEPS, "the stencil, in one message"
         # filled besides: the stencil and its diagonal once a move, every answer
-        besides = events["SFBcastBegin"] - local["events"]["SFBcastBegin"] - 6 * STEPS - SOLVES
+        besides = events["SFBcastBegin"] - local["events"]["SFBcastBegin"] - 2 * STEPS - SOLVES
         assert 0 < besides <= events["MatMult"] + events["PCApply"]
         assert events["PCApply"] <= events["MatMult"] + SOLVES
 

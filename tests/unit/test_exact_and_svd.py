@@ -213,7 +213,7 @@ def iterations_of(cells, position):
     filter_ = ExactFilter(Mapping(grid_of(cells, (1.0,) * len(cells)), position))
     filter_.apply(values(len(position)))
     assert filter_.tolerance == 1e-10 and filter_.facts()["iterations"] == filter_.iterations
-    return filter_.iterations[0]
+    return filter_.iterations
 
 
 @pytest.mark.parametrize("cells", [(64,), (32, 32), (10, 10, 10)], ids=str)

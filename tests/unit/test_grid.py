@@ -87,6 +87,9 @@ def test_the_size_of_numbers_is_the_power_of_two_at_or_below_the_largest(numbers
     grid = Grid((4,), (1.0,), MPI.COMM_SELF)
     assert grid.size_of(np.array(numbers)) == size
     assert grid.reductions == 1
+    rows = np.array([numbers, np.zeros(len(numbers)), np.full(len(numbers), -3.0)])
+    assert grid.sizes_of(rows).tolist() == [size, 1.0, 2.0 if numbers else 1.0]
+    assert grid.reductions == 2
 
 
 def test_ghosted_and_on_nodes_undo_each_other():

@@ -8,7 +8,7 @@ import pytest
 from mpi4py import MPI
 
 from mpipic.grid import Grid
-from mpipic.halo import Halo
+from mpipic.halo import Halo, PaddedColumns
 
 CELLS = [(1,), (2,), (3,), (7,), (1, 1), (1, 2), (5, 2), (4, 6), (1, 2, 3), (2, 2, 2), (4, 3, 5)]
 every_block = pytest.mark.parametrize("cells", CELLS, ids=str)
@@ -112,6 +112,24 @@ def test_several_arrays_at_once_are_exchanged_as_one_after_the_other(cells, verb
     getattr(halo, verb)(*rows)
     getattr(halo, verb)(columns)
     assert np.array_equal(rows.T, columns)
+
+
+@every_block
+@pytest.mark.parametrize("count", [1, 3])
+def test_columns_kept_apart_are_filled_in_one_exchange_and_loaded_from_own_values(cells, count):
+    halo = halo_of(cells, 2)
+    padded = PaddedColumns(halo)
+    for seed in (1, 2):  # the second time, over what is there
+        own = whole_numbers(count, *cells[::-1], seed=seed)
+        wanted = np.zeros((count, halo.local_nodes))
+        halo.own_rows(wanted)[...] = own
+        halo.fill(*wanted)
+        before = halo.exchanges
+        rows = padded.load(own)
+        assert halo.exchanges == before + 1
+        assert np.array_equal(rows, wanted) and np.array_equal(halo.own_rows(rows), own)
+        assert np.array_equal(padded.load(own.reshape(count, -1)), wanted)
+    assert padded.nbytes == rows.nbytes
 
 
 @every_block

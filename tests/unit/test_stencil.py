@@ -67,31 +67,21 @@ def test_entries_from_moments_are_half_the_diagonals_of_the_gram_matrix(box, nam
     weight = np.random.default_rng(6).random(len(position)) + 0.1
     wanted = half_diagonals(cells, length, position, weight)
     halo = halo_of(cells, width)
-    entries = np.zeros((len(wanted), halo.local_nodes))
+    entries = np.zeros((halo.local_nodes, len(wanted)))
     Mapping(grid, position, weight).add_gram_entries(halo.layout, entries)
-    halo.add(*entries)
-    close([halo.own(row) for row in entries], wanted)
+    halo.add(entries)
+    close(np.moveaxis(halo.own(entries), -1, 0), wanted)
 
 
 def test_entries_from_moments_are_added_to_what_is_there():
     cells, length = GRIDS["2D"]
     sweep, halo = sweep_of(grid_of(cells, length), pattern("random", cells, length)), halo_of(cells, 2)
-    once, twice = np.zeros((2, 5, halo.local_nodes))
+    once, twice = np.zeros((2, halo.local_nodes, 5))
     sweep.add_gram_entries(halo.layout, once)
     for _ in range(2):
         sweep.add_gram_entries(halo.layout, twice)
     assert once.any()
     close(twice, 2 * once, 1e-15)
-
-
-def test_a_line_of_more_cells_than_are_taken_at_once_has_every_entry():
-    n = 2 * stencil.CELLS_AT_ONCE + 3
-    position = np.random.default_rng(1).random((5 * n, 1)) * n
-    halo = halo_of((n,), 2)
-    entries = np.zeros((2, halo.local_nodes))
-    Mapping(grid_of((n,), (float(n),)), position).add_gram_entries(halo.layout, entries)
-    halo.add(*entries)
-    close([halo.own(row) for row in entries], half_diagonals((n,), (float(n),), position, np.ones(5 * n)))
 
 
 def test_scales_are_inverse_roots_and_zero_where_the_diagonal_is():
@@ -104,43 +94,41 @@ def test_scales_are_inverse_roots_and_zero_where_the_diagonal_is():
 
 
 @every_shape
-def test_entries_are_scaled_by_both_of_their_nodes(cells):
-    """Own entries, and no others."""
-    halo, offsets = halo_of(cells, 1), stencil.half_stencil(len(cells))
+@pytest.mark.parametrize("stored", [1, 2, 99])
+def test_rows_become_scaled_diagonals_and_those_beyond_them_are_constant(cells, stored):
+    """On all nodes whose neighbour is in the array; zero on the others."""
+    halo = halo_of(cells, 1)
+    offsets = stencil.half_stencil(len(cells)) @ np.array([1, *halo.layout[1:]])
     rng = np.random.default_rng(2)
-    scale = rng.random(halo.local_nodes)
-    entries = rng.random((len(offsets), halo.local_nodes))
-    before = entries.copy()
-    flat = offsets @ np.array([1, *halo.layout[1:]])
-    stencil.scale_entries(entries, flat, scale, padded(cells), halo.layout)
-    own = np.zeros(halo.local_nodes, dtype=bool)
-    halo.own(own)[...] = True
-    for h, offset in enumerate(flat):
-        nodes = np.flatnonzero(own)
-        close(entries[h, own], before[h, own] * scale[nodes] * scale[nodes + offset], 1e-15)
-    assert np.array_equal(entries[:, ~own], before[:, ~own])
+    scale, constants = rng.random(halo.local_nodes), rng.random(len(offsets))
+    entries = rng.random((halo.local_nodes, len(offsets)))[:, :stored]
+    diagonals = np.full((len(offsets), halo.local_nodes), np.nan)
+    stencil.scale_diagonals(np.ascontiguousarray(entries), constants, offsets, scale, diagonals)
+    assert np.all(np.isnan(diagonals[0]))
+    for h, offset in enumerate(offsets[1:], start=1):
+        there = np.append(scale[offset:], np.zeros(offset))[: len(scale)]
+        row = constants[h] + (entries[:, h] if h < stored else 0.0)
+        close(diagonals[h], row * scale * there, 1e-15)
 
 
 @pytest.mark.parametrize("cells", [*SHAPES, (2 * stencil.NODES_AT_ONCE + 7,), (90, 50)], ids=str)
-@pytest.mark.parametrize("diagonals", [1, 2, 3, 4, 14])
-def test_multiplying_takes_every_diagonal_both_ways_and_ones_on_the_main_one(cells, diagonals):
-    """An even number of them, an odd one and none; `entries[0]` is not read, and nothing is written but the span."""
+@pytest.mark.parametrize("columns", [1, 3])
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 14])
+def test_multiplying_takes_every_diagonal_both_ways_and_one_number_on_the_main_one(cells, columns, count):
+    """An even number of them, an odd one and none; for every column. diagonals[0] is not read."""
     halo = halo_of(cells, 1)
-    strides = np.array([1, *halo.layout[1:]])
-    offsets = stencil.half_stencil(len(cells))[:diagonals] @ strides
+    offsets = stencil.half_stencil(len(cells))[:count] @ np.array([1, *halo.layout[1:]])
     rng = np.random.default_rng(3)
-    entries, values = rng.standard_normal((len(offsets), halo.local_nodes)), rng.standard_normal(halo.local_nodes)
-    entries[0] = np.nan
-    start, stop = halo.layout[0], halo.local_nodes - halo.layout[0]
-    nodes = np.arange(start, stop)
-    wanted = np.full(halo.local_nodes, -7.0)
-    wanted[nodes] = values[nodes]
-    for row, offset in zip(entries[1:], offsets[1:]):
-        wanted[nodes] += row[nodes] * values[nodes + offset] + row[nodes - offset] * values[nodes - offset]
-    out = np.full(halo.local_nodes, -7.0)
-    stencil.multiply(entries, offsets, 1.0, values, start, stop, out)
-    close(out, wanted, 1e-14)
-    assert np.all(np.delete(out, nodes) == -7.0)
+    diagonals = rng.standard_normal((len(offsets), halo.local_nodes))
+    values = rng.standard_normal((columns, halo.local_nodes))
+    diagonals[0] = np.nan
+    nodes = halo.own(np.arange(halo.local_nodes)).ravel()
+    wanted = 1.5 * values[:, nodes]
+    for row, offset in zip(diagonals[1:], offsets[1:]):
+        wanted += row[nodes] * values[:, nodes + offset] + row[nodes - offset] * values[:, nodes - offset]
+    out = np.full(values.shape, np.nan)
+    stencil.multiply(diagonals, offsets, 1.5, values, padded(cells), halo.layout, out)
+    close(halo.own_rows(out).reshape(columns, -1), wanted, 1e-14)
 
 
 def convolved(own, weights):

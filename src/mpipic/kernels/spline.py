@@ -207,28 +207,71 @@ def add_divergence_sums(degree, cell, fraction, values, inverse_h, shape, layout
 
 
 @hot
-def add_gram_entries(degree, cell, fraction, weight, offsets, shape, layout, entries):
-    """entries[h, n] += Σ_p V_p φ_n φ_{n + offsets[h]}: half of G's diagonals, offsets (h, 3) as in `stencil`."""
+def _pair_places(degree, dim, layout, diagonals, place):
+    """Of every pair of nodes a <= b that a particle touches: where its product goes, relative to the first node's row.
+
+    Nodes count x fastest, so b never precedes a: its offset from a is in the half stencil.
+    """
+    width, side = degree + 1, 2 * degree + 1
+    nodes, pair = width**dim, 0
+    for a in range(nodes):
+        i, j, k = a % width, a // width % width, a // width**2
+        node = i + j * layout[1] + k * layout[2]
+        for b in range(a, nodes):
+            diagonal = b % width - i + side * (b // width % width - j + side * (b // width**2 - k))
+            place[pair] = node * diagonals + diagonal
+            pair += 1
+
+
+@hot
+def _move(total, place, first, out):
+    """out[first + place] += total; total = 0."""
+    for pair in range(total.size):
+        out[U(first + place[pair])] += total[pair]
+        total[pair] = 0.0
+
+
+@hot
+def add_gram_entries(degree, cell, fraction, weight, shape, layout, entries):
+    """entries[n, h] += Σ_p V_p φ_n φ_m, m the node of offset h of the half stencil from n (see `stencil`).
+
+    Products of particles that touch the same nodes, one after the other in memory, are added up before they go there.
+    """
     w, _, count = _scratch()
-    if fraction.shape[1] == 1:
+    dim, diagonals = fraction.shape[1], entries.shape[1]
+    if dim == 1:
         v = w[0]
         for p in range(cell.size):
             first = layout[0] + cell[p] + weights(degree, fraction[p, 0], v)
             for i in range(degree + 1):
                 n, vi = U(first + i), weight[p] * v[i]
                 for h in range(degree + 1 - i):
-                    entries[U(h), n] += vi * v[i + h]
+                    entries[n, U(h)] += vi * v[i + h]
         return
+    nodes = (degree + 1) ** dim
+    place = np.empty(nodes * (nodes + 1) // 2, np.int64)
+    _pair_places(degree, dim, layout, diagonals, place)
+    total, value, out = np.zeros(place.size), np.empty(nodes), entries.reshape(-1)
+    before = -1
     for p in range(cell.size):
         first = _find(degree, cell, fraction, p, shape, layout, w, count)
-        for h in range(offsets.shape[0]):
-            dx, dy, dz = offsets[h, 0], offsets[h, 1], offsets[h, 2]
-            for k in range(max(0, -dz), min(count[2], count[2] - dz)):
-                wz = weight[p] * w[2, k] * w[2, k + dz]
-                for j in range(max(0, -dy), min(count[1], count[1] - dy)):
-                    row, wyz = first + j * layout[1] + k * layout[2], wz * w[1, j] * w[1, j + dy]
-                    for i in range(max(0, -dx), min(count[0], count[0] - dx)):
-                        entries[h, U(row + i)] += wyz * w[0, i] * w[0, i + dx]
+        if first != before and before >= 0:
+            _move(total, place, before * diagonals, out)
+        before, c = first, 0
+        for k in range(count[2]):
+            for j in range(count[1]):
+                wjk = w[2, k] * w[1, j]
+                for i in range(count[0]):
+                    value[c] = wjk * w[0, i]
+                    c += 1
+        begin = 0
+        for a in range(nodes):
+            va, row, others = weight[p] * value[a], total[begin : begin + nodes - a], value[a:nodes]
+            for b in range(row.size):
+                row[b] += va * others[b]
+            begin += nodes - a
+    if before >= 0:
+        _move(total, place, before * diagonals, out)
 
 
 @hot

@@ -1,9 +1,10 @@
 """The Gram matrix as a stencil on nodes: assembled from pair moments, applied, and the stencil that nearly inverts it.
 
 G is symmetric, so of its (2 k + 1)^d diagonals on splines of degree k those with a positive offset and the main one are
-kept: entries[h, n] couples node n to node n + offsets[h]. Arrays are padded (see `mpipic.halo`) but where compact is
-said: own nodes only. `layout` is the padded arrays', `shape` the own nodes per axis. Inner loops run along x, over
-contiguous memory.
+kept. They are added up and exchanged row by row, entries[n, h] (a particle touches few rows), and applied diagonal by
+diagonal, diagonals[h, n]: both couple node n to node n + offsets[h]. Arrays are padded (see `mpipic.halo`) but where
+compact is said: own nodes only. `layout` is the padded arrays', `shape` the own nodes per axis. Inner loops run along
+x, over contiguous memory.
 """
 
 from __future__ import annotations
@@ -12,8 +13,8 @@ import numpy as np
 
 from mpipic.kernels.common import U, hot
 
-CELLS_AT_ONCE = 64
 NODES_AT_ONCE = 2048
+ROWS_AT_ONCE = 64
 
 
 def half_stencil(dim, reach=1):
@@ -46,19 +47,22 @@ def moment_terms(dim):
 
 @hot
 def add_moments(moments, terms, shape, layout, entries):
-    """entries += G's entries from the moments of all own cells (cells, 3^d); ghosts above get their share."""
-    width = moments.shape[1]
-    m = moments.reshape(-1)
+    """entries[n, h] += G's entries from the moments of all own cells (cells, 3^d); ghosts above get their share."""
+    width, diagonals = moments.shape[1], entries.shape[1]
+    m, out = moments.reshape(-1), entries.reshape(-1)
+    place = np.empty(terms.shape[0], np.int64)
+    for t in range(place.size):
+        node = terms[t, 2] + terms[t, 3] * layout[1] + terms[t, 4] * layout[2]
+        place[t] = node * diagonals + terms[t, 1]
+    q = 0
     for k in range(shape[2]):
         for j in range(shape[1]):
-            for begin in range(0, shape[0], CELLS_AT_ONCE):
-                count = min(CELLS_AT_ONCE, shape[0] - begin)
-                q = ((k * shape[1] + j) * shape[0] + begin) * width
-                for t in range(terms.shape[0]):
-                    first = layout[0] + (j + terms[t, 3]) * layout[1] + (k + terms[t, 4]) * layout[2]
-                    row = entries[terms[t, 1], first + begin + terms[t, 2] :][:count]
-                    for i in range(count):
-                        row[U(i)] += m[U(q + terms[t, 0] + i * width)]
+            first = (layout[0] + j * layout[1] + k * layout[2]) * diagonals
+            for _ in range(shape[0]):
+                for t in range(place.size):
+                    out[U(first + place[t])] += m[U(q + terms[t, 0])]
+                q += width
+                first += diagonals
 
 
 @hot
@@ -71,50 +75,69 @@ def root_and_scale(diagonal, root, scale):
 
 
 @hot
-def scale_entries(entries, offsets, scale, shape, layout):
-    """Own entries[h, n] *= scale[n] scale[n + offset]: then the diagonal is 1, or 0 on nodes that no particle sees."""
-    for k in range(shape[2]):
-        for j in range(shape[1]):
-            n = layout[0] + j * layout[1] + k * layout[2]
-            here = scale[n : n + shape[0]]
-            for h in range(offsets.size):
-                row, there = entries[h, n : n + shape[0]], scale[n + offsets[h] : n + offsets[h] + shape[0]]
-                for i in range(row.size):
-                    row[i] *= here[i] * there[i]
+def scale_diagonals(entries, constants, offsets, scale, diagonals):
+    """diagonals[h, n] = (entries[n, h] + constants[h]) scale[n] scale[n + offsets[h]], h > 0; 0 beyond the array's end.
+
+    Diagonals that `entries` has no column for are constant. The main one, which is 1 then, is left alone.
+    """
+    nodes, stored = entries.shape
+    for n in range(0, nodes, ROWS_AT_ONCE):
+        for h in range(1, offsets.size):
+            row = diagonals[h, n : min(n + ROWS_AT_ONCE, nodes)]
+            whole = max(0, min(row.size, nodes - offsets[h] - n))
+            here, there = scale[n : n + whole], scale[n + offsets[h] : n + offsets[h] + whole]
+            if h < stored:
+                for i in range(whole):
+                    row[i] = (entries[n + i, h] + constants[h]) * here[i] * there[i]
+            else:
+                for i in range(whole):
+                    row[i] = constants[h] * here[i] * there[i]
+            row[whole:] = 0.0
 
 
 @hot
-def multiply(entries, offsets, diagonal, values, start, stop, out):
-    """out[n] = (G values)[n] for start <= n < stop, padded arrays, ghosts of `values` filled; junk on ghosts between.
+def multiply(diagonals, offsets, main, values, shape, layout, out):
+    """out[c] = G values[c] on own nodes, padded arrays, ghosts of `values` filled; junk on ghosts between.
 
-    G has the same number all along its diagonal: entries[0] is not read. A block of nodes stays in the first cache
-    while the other diagonals pass, two at a time; memory traffic is the entries'.
+    G has the same number all along its main diagonal: diagonals[0] is not read. A block of nodes of one z layer stays
+    in the first caches while the other diagonals pass, two at a time, for all columns.
     """
-    n = start
-    while n < stop:
-        m = min(NODES_AT_ONCE, stop - n)
-        row, here = out[n : n + m], values[n : n + m]
+    for k in range(shape[2]):
+        n = layout[0] + k * layout[2]
+        stop = n + (shape[1] - 1) * layout[1] + shape[0]
+        while n < stop:
+            m = min(NODES_AT_ONCE, stop - n)
+            _multiply_block(diagonals, offsets, main, values, n, m, out)
+            n += m
+
+
+@hot
+def _multiply_block(diagonals, offsets, main, values, n, m, out):
+    for c in range(values.shape[0]):
+        row, here = out[c, n : n + m], values[c, n : n + m]
         for i in range(m):
-            row[i] = diagonal * here[i]
-        h = 1
-        while h + 1 < offsets.size:
-            o, p = offsets[h], offsets[h + 1]
+            row[i] = main * here[i]
+    h = 1
+    while h + 1 < offsets.size:
+        o, p = offsets[h], offsets[h + 1]
+        for c in range(values.shape[0]):
+            v = values[c]
             _add_two(
-                row,
-                entries[h, n : n + m], values[n + o : n + o + m],
-                entries[h, n - o : n - o + m], values[n - o : n - o + m],
-                entries[h + 1, n : n + m], values[n + p : n + p + m],
-                entries[h + 1, n - p : n - p + m], values[n - p : n - p + m],
+                out[c, n : n + m],
+                diagonals[h, n : n + m], v[n + o : n + o + m],
+                diagonals[h, n - o : n - o + m], v[n - o : n - o + m],
+                diagonals[h + 1, n : n + m], v[n + p : n + p + m],
+                diagonals[h + 1, n - p : n - p + m], v[n - p : n - p + m],
             )  # fmt: skip
-            h += 2
-        if h < offsets.size:
-            o = offsets[h]
+        h += 2
+    if h < offsets.size:
+        o = offsets[h]
+        for c in range(values.shape[0]):
             _add_one(
-                row,
-                entries[h, n : n + m], values[n + o : n + o + m],
-                entries[h, n - o : n - o + m], values[n - o : n - o + m],
+                out[c, n : n + m],
+                diagonals[h, n : n + m], values[c, n + o : n + o + m],
+                diagonals[h, n - o : n - o + m], values[c, n - o : n - o + m],
             )  # fmt: skip
-        n += m
 
 
 @hot
