@@ -50,7 +50,7 @@ def sections(scheme):
         keep["order"] = scheme.filter_order
     if scheme.filter == "exact" or scheme.mass != "lumped" or scheme.integrator == "midpoint":
         keep["tolerance"] = TIGHT
-    damping = {"order": scheme.damping}
+    damping = {"order": scheme.damping, "null_space": scheme.null_space}
     if scheme.damping:
         damping["strength"] = scheme.strength
     return {"mapping": mapping, "filter": keep, "damping": damping, "time": {"integrator": scheme.integrator}}
@@ -109,8 +109,12 @@ def goes_together(scheme):
         return False
     if scheme.filter == "svd" and scheme.mass == "penalised" and scheme.gradient != "grid":
         return False
-    unfiltered = scheme.filter == "none" and scheme.gradient == "direct"
-    return not scheme.damping or (scheme.mass != "lumped" and not unfiltered)
+    return not scheme.damping or can_be_damped(scheme)
+
+
+def can_be_damped(scheme):
+    """Whether there are least-squares fields, and particles take what interpolates from them."""
+    return scheme.mass != "lumped" and not (scheme.filter == "none" and scheme.gradient == "direct")
 
 
 def _schemes():
@@ -127,6 +131,8 @@ def _schemes():
         scheme = Scheme(*names, **turn)
         if scheme.damping:
             scheme = replace(scheme, damping=1 + count // 2 % 4)
+        if can_be_damped(scheme):
+            scheme = replace(scheme, null_space=(0.0, 0.7)[(count // 2 + count // 6) % 2])
         if goes_together(scheme):
             schemes.append(scheme)
     return schemes

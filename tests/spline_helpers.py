@@ -122,6 +122,7 @@ class Scheme:
     penalty: float = 0.1
     penalty_order: int = 4
     strength: float = 1.0
+    null_space: float = 0.0
 
 
 class Splines:
@@ -267,6 +268,13 @@ def damping_matrix(splines, scheme, gas, dt):
     return low_pass(splines.cells, scheme.damping, strengths) - np.eye(len(splines.d))
 
 
+def unseen(splines, scheme, gas, dt, state):
+    """What particle values lose of what their nodal fields do not hold."""
+    spacing = np.array(splines.length) / np.array(splines.cells)
+    share = min(1.0, scheme.null_space * gas.sound_speed * dt / spacing.min())
+    return share * (state - splines.phi @ splines.mass(scheme) @ state)
+
+
 def short_step(splines, scheme, gas, dt, state):
     """State (n, 1 + d) after one step with frozen positions, by nodal fields."""
     dim, columns = len(splines.cells), state.shape[1]
@@ -280,7 +288,7 @@ def short_step(splines, scheme, gas, dt, state):
     if damping is not None:
         end = (y + dt * (of_fields @ mean)).reshape(columns, -1).T
         change = change + splines.phi @ damping @ end
-    return state + change
+    return state + change - unseen(splines, scheme, gas, dt, state)
 
 
 def particle_step(splines, scheme, gas, dt, state):
@@ -293,7 +301,7 @@ def particle_step(splines, scheme, gas, dt, state):
     damping = damping_matrix(splines, scheme, gas, dt)
     if damping is not None:
         end = end + on_all(splines.phi @ damping @ mass, columns) @ end
-    return end.reshape(columns, -1).T
+    return end.reshape(columns, -1).T - unseen(splines, scheme, gas, dt, state)
 
 
 def run_steps(step, scheme, gas, dt, cells, length, position, state, steps):

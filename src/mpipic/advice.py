@@ -95,6 +95,8 @@ def _step(scene: Scene) -> str:
     taken = gradient.get(mapping.gradient, f"central differences of order {mapping.gradient_order} on the nodes")
     method = {"symplectic": "symplectic Euler", "rk4": "Runge-Kutta of order 4", "midpoint": "implicit midpoint rule"}
     damping = f", damped with {scene.damping.order} second differences" if scene.damping.order else ""
+    if scene.damping.null_space:
+        damping += f", null space damped at rate {scene.damping.null_space:g}"
     if mapping.mass == "lumped" and mapping.gradient == "direct" and scene.time.integrator == "symplectic":
         passes = "nine passes" if scene.filter.kind == "svd" else "one pass"
         return f"Formulation 2 (symplectic Euler), {passes} over the particles a step"

@@ -17,9 +17,8 @@ from mpipic.scene import Scene
 from mpipic.sweep import ParticleSweep
 
 if TYPE_CHECKING:
-    from mpipic.grid_operators import LowPass
     from mpipic.mass import Mass
-    from mpipic.schemes import Gas, Integrator, NodalScheme
+    from mpipic.schemes import Damping, Gas, Integrator, NodalScheme
 
 
 class Formulation(Protocol):
@@ -42,7 +41,11 @@ class Formulation(Protocol):
 def is_formulation_2(scene: Scene) -> bool:
     """Whether the scene's step is the paper's, but for basis and filter: then it has a faster form of its own."""
     mapping = scene.mapping
-    plain = mapping.mass == "lumped" and mapping.gradient == "direct" and not scene.damping.order
+    plain = (
+        mapping.mass == "lumped"
+        and mapping.gradient == "direct"
+        and not (scene.damping.order or scene.damping.null_space)
+    )
     return plain and scene.time.integrator == "symplectic"
 
 
@@ -133,10 +136,14 @@ def _filter(scene: Scene, carrier: ParticleSweep, mass: object) -> NodalFilter:
     return made
 
 
-def _damping(scene: Scene, grid: Grid) -> LowPass | None:
-    if not scene.damping.order:
-        return None
-    from mpipic.grid_operators import LowPass
+def _damping(scene: Scene, grid: Grid) -> Damping:
+    from mpipic.schemes import Damping
 
-    travel = scene.damping.strength * scene.gas.sound_speed * scene.dt / np.array(grid.h)
-    return LowPass(grid, scene.damping.order, np.minimum(1.0, travel))
+    settings = scene.damping
+    low_pass = None
+    if settings.order:
+        from mpipic.grid_operators import LowPass
+
+        travel = settings.strength * scene.gas.sound_speed * scene.dt / np.array(grid.h)
+        low_pass = LowPass(grid, settings.order, np.minimum(1.0, travel))
+    return Damping(low_pass, min(1.0, settings.null_space * scene.cfl))

@@ -112,10 +112,17 @@ class FilterSection(Section):
 
 
 class DampingSection(Section):
-    """Grid-scale damping: `order` of the low-pass, 0 for none; `strength` per distance that sound travels."""
+    """Of grid-scale waves: `order` of the low-pass, 0 for none, and its `strength`; of noise in the `null_space`.
+
+    Both rates are per cell that sound travels: of the shortest wave a step takes the share strength c dt / h, of what
+    particles hold beside their nodal fields null_space c dt / h, but at most all.
+    """
 
     order: SmallOrderOrZero = Field(default=0, description="a whole number from 0 to 8")
     strength: Positive = Field(default=1.0, description=_ABOVE_0)
+    null_space: Annotated[float, Field(ge=0, allow_inf_nan=False)] = Field(
+        default=0.0, description="a finite number, 0 or above"
+    )
 
 
 class TimeSection(Section):

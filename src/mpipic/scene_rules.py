@@ -184,16 +184,27 @@ def svd_knows_no_penalty(v: Values) -> Broken | None:
     return "filter.kind", 'svd needs mapping.mass = lumped or consistent, or mapping.gradient = "grid"; use exact'
 
 
-@_rule("damping.order", "mapping.mass", "mapping.gradient", "filter.kind")
-def damping_needs_fields_that_particles_can_take(v: Values) -> Broken | None:
-    """Damping changes least-squares fields, and particles get the change by interpolation."""
-    if not v["damping.order"]:
+def _damping_rule(key: str, v: Values) -> Broken | None:
+    """Damping changes particles by what interpolates from least-squares fields."""
+    if not v[key]:
         return None
     if v["mapping.mass"] == "lumped":
-        return "damping.order", 'needs mapping.mass = consistent or penalised; it is "lumped"'
+        return key, 'needs mapping.mass = consistent or penalised; it is "lumped"'
     if v["filter.kind"] == "none" and v["mapping.gradient"] == "direct":
-        return "damping.order", 'needs a filter, or mapping.gradient = "grid": filter.kind is "none"'
+        return key, 'needs a filter, or mapping.gradient = "grid": filter.kind is "none"'
     return None
+
+
+@_rule("damping.order", "mapping.mass", "mapping.gradient", "filter.kind")
+def damping_of_waves_needs_fields_that_particles_can_take(v: Values) -> Broken | None:
+    """See `_damping_rule`."""
+    return _damping_rule("damping.order", v)
+
+
+@_rule("damping.null_space", "mapping.mass", "mapping.gradient", "filter.kind")
+def damping_of_the_null_space_does_too(v: Values) -> Broken | None:
+    """See `_damping_rule`."""
+    return _damping_rule("damping.null_space", v)
 
 
 @_rule("time.steps", "output.report_at")

@@ -258,6 +258,33 @@ INTEGRATORS: dict[str, Integrator] = {"symplectic": symplectic, "rk4": rk4}
 """Name to function; `midpoint` joins them from its own module."""
 
 
+# ---------------------------------------------------------------- damping
+
+
+@dataclass(frozen=True)
+class Damping:
+    """What a step takes away on purpose.
+
+    Attributes
+    ----------
+    low_pass
+        Grid-scale waves of the nodal fields: particles get Φ times what is taken from these.
+    null_space
+        The share of q - Φ a that particle values q lose, a their least-squares field: of what no node sees, and with a
+        penalty, of what is rough. Where the grid moves past the particles such noise turns into sound and back, and can
+        grow however well waves are damped; this makes the step without gradients a contraction, which it need not be
+        otherwise.
+    """
+
+    low_pass: LowPass | None = None
+    null_space: float = 0.0
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes held."""
+        return self.low_pass.nbytes if self.low_pass else 0
+
+
 # ---------------------------------------------------------------- the step on nodes
 
 
@@ -278,10 +305,10 @@ class NodalScheme(Rates):
         mass: Mass,
         slopes: Slopes,
         integrate: Integrator,
-        damping: LowPass | None = None,
+        damping: Damping | None = None,
     ) -> None:
         self.sweep, self.gas, self.dt, self.grid = sweep, gas, dt, sweep.grid
-        self.mass, self.slopes, self.integrate, self.damping = mass, slopes, integrate, damping
+        self.mass, self.slopes, self.integrate, self.damping = mass, slopes, integrate, damping or Damping()
 
     def density(self, state: State, stage: int) -> Rate:
         """-ρ₀ ∇·u."""
@@ -314,7 +341,7 @@ class NodalScheme(Rates):
     @property
     def nbytes(self) -> int:
         """Bytes of what the parts hold; work arrays of the stages come and go."""
-        return self.mass.nbytes + self.slopes.nbytes + (self.damping.nbytes if self.damping else 0)
+        return self.mass.nbytes + self.slopes.nbytes + self.damping.nbytes
 
     def forget(self) -> None:
         """Begin every series anew: the next step does not know the last. Local."""
@@ -329,8 +356,12 @@ class NodalScheme(Rates):
         sweep.phase("nodes")
         with np.errstate(over="ignore", invalid="ignore"):  # of a run that blows up, which is found and stated
             change, end = self.integrate(self, start, self.dt)
-            if self.damping is not None:
-                change += self.damping.change(end)
+            if self.damping.low_pass is not None:
+                change += self.damping.low_pass.change(end)
+            if self.damping.null_space:
+                values = sweep.particles.state
+                values *= 1.0 - self.damping.null_space
+                change += self.damping.null_space * start
         sweep.advance(np.ascontiguousarray(change), (1.0, 1.0), direct=self.slopes.direct)
 
 
@@ -354,18 +385,23 @@ class PlainScheme(Rates):
         integrate: Integrator,
         keep: Filter | None = None,
         difference: CentralDifference | None = None,
-        damping: LowPass | None = None,
+        damping: Damping | None = None,
     ) -> None:
         self.mapping, self.gas, self.dt, self.mass, self.integrate = mapping, gas, dt, mass, integrate
-        self.keep, self.difference, self.damping, self.grid = keep, difference, damping, mapping.grid
+        self.keep, self.difference, self.damping, self.grid = keep, difference, damping or Damping(), mapping.grid
 
     def step(self, state: State) -> None:
         """Update particle values (n, 1 + d) in place; moving the particles is the caller's. Collective."""
-        end = self.integrate(self, state, self.dt).end
+        end, share = self.integrate(self, state, self.dt).end, self.damping.null_space
+        if share:
+            start = self.mass.fields(self.mapping.sums(state), "start", (1, self.dim))
+            unseen = state - self.mapping.g2p(start)
         state[...] = end
-        if self.damping is not None:
+        if self.damping.low_pass is not None:
             fields = self.mass.fields(self.mapping.sums(state), "end", (1, self.dim))
-            state += self.mapping.g2p(self.damping.change(fields))
+            state += self.mapping.g2p(self.damping.low_pass.change(fields))
+        if share:
+            state -= share * unseen
 
     def density(self, state: State, stage: int) -> Rate:
         """-ρ₀ F(∇·u)."""

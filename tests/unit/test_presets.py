@@ -19,7 +19,7 @@ OTHER = {
     "gas": {"flow": [0.3, -0.2]},
     "mapping": {"basis": "quadratic", "mass": "penalised", "penalty": 0.5, "gradient": "grid", "gradient_order": 4},
     "filter": {"kind": "exact", "tolerance": 1e-6},
-    "damping": {"order": 2, "strength": 3.0},
+    "damping": {"order": 2, "strength": 3.0, "null_space": 0.25},
     "time": {"cfl": 0.1, "steps": 7, "integrator": "midpoint"},
 }
 """A scene with a scheme that no preset has."""
@@ -149,6 +149,11 @@ RULES = [
     (["damping.order=4", "mapping.gradient=grid"], "damping.order = 4: needs mapping.mass = consistent or penalised"),
     (["damping.order=2", "mapping.mass=consistent", "filter.kind=none"], "damping.order = 2: needs a filter"),
     (["damping.order=2", "mapping.mass=penalised", "filter.kind=none"], 'or mapping.gradient = "grid"'),
+    (["damping.null_space=1"], "damping.null_space = 1.0: needs mapping.mass = consistent or penalised"),
+    (
+        ["damping.null_space=1", "mapping.mass=consistent", "filter.kind=none"],
+        "damping.null_space = 1.0: needs a filter",
+    ),
 ]
 
 
@@ -164,6 +169,8 @@ ALLOWED = [
     ["filter.kind=svd", "mapping.mass=consistent"],
     ["filter.kind=svd", "mapping.mass=penalised", "mapping.gradient=grid"],
     ["damping.order=4", "mapping.mass=consistent"],
+    ["damping.null_space=0.5", "mapping.mass=consistent"],
+    ["damping.null_space=0.5", "mapping.mass=consistent", "mapping.gradient=skew", "filter.kind=exact"],
     ["damping.order=4", "mapping.mass=penalised", "mapping.gradient=grid", "filter.kind=none"],
 ]
 

@@ -33,7 +33,7 @@ DEFAULTS = {
         "gradient_order": 10,
     },
     "filter": {"kind": "local", "order": 2, "tolerance": 1e-10},
-    "damping": {"order": 0, "strength": 1.0},
+    "damping": {"order": 0, "strength": 1.0, "null_space": 0.0},
     "time": {"dt": 1.25e-3, "blow_up": 100.0, "steps": 1000, "integrator": "symplectic"},
     "output": {"every": 0, "checkpoint_every": 0, "report_at": []},
 }

@@ -164,6 +164,7 @@ BAD_VALUES = {
     "filter.tolerance": ["0", "1", "nan", "-1e-10"],
     "damping.order": ["-1", "0.5", "true"],
     "damping.strength": ["0", "-1", "inf"],
+    "damping.null_space": ["-1e-9", "inf", "nan"],
     "time.dt": ["0", "-1e-3", "inf", "nan", "[1]", "true"],
     "time.cfl": ["0", "-0.1", "inf", "nan"],
     "time.blow_up": ["1", "0.5", "inf", "-100", "nan"],

@@ -17,7 +17,7 @@ from mpipic.grid_operators import CentralDifference, LowPass
 from mpipic.mapping import Mapping
 from mpipic.mass import LeastSquaresMass, LumpedMass
 from mpipic.midpoint import Midpoint
-from mpipic.schemes import INTEGRATORS, NodalScheme, PlainScheme
+from mpipic.schemes import INTEGRATORS, Damping, NodalScheme, PlainScheme
 from mpipic.schemes import Gas as Factors
 from scheme_helpers import SCHEMES, TIGHT, Run, covering, label
 from spline_helpers import Gas, Scheme, Splines, particle_step, run_steps, short_step
@@ -158,10 +158,10 @@ def plain_scheme(scheme, box, gas, dt, position):
     mass = LumpedMass(mapping) if scheme.mass == "lumped" else LeastSquaresMass(mapping, TIGHT)
     integrate = Midpoint(1e-12, symmetric=False) if scheme.integrator == "midpoint" else INTEGRATORS[scheme.integrator]
     difference = CentralDifference(grid, scheme.gradient_order) if scheme.gradient == "grid" else None
-    damping = None
-    if scheme.damping:
-        strengths = np.minimum(1.0, scheme.strength * gas.sound_speed * dt / np.array(grid.h))
-        damping = LowPass(grid, scheme.damping, strengths)
+    travel = gas.sound_speed * dt / np.array(grid.h)
+    strengths = np.minimum(1.0, scheme.strength * travel)
+    low_pass = LowPass(grid, scheme.damping, strengths) if scheme.damping else None
+    damping = Damping(low_pass, min(1.0, scheme.null_space * travel.max()))
     factors = Factors(gas.density, gas.stiffness)
     return PlainScheme(mapping, factors, dt, mass, integrate, keep, difference, damping), mapping
 
