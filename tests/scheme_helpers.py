@@ -8,6 +8,7 @@ from itertools import combinations, product
 import numpy as np
 from mpi4py import MPI
 
+from covering import cover
 from mpipic.assembly import build_step, build_sweep
 from mpipic.grid import Grid
 from mpipic.halo import Halo
@@ -143,19 +144,12 @@ SCHEMES = _schemes()
 
 def _choices(scheme, strength):
     chosen = [(part, getattr(scheme, part)) for part in PARTS if part != "damping"]
-    return set(combinations([*chosen, ("damping", scheme.damping > 0)], strength))
+    return combinations([*chosen, ("damping", scheme.damping > 0)], strength)
 
 
 def covering(strength, wanted=lambda scheme: True):
     """Few of the schemes wanted, so that any `strength` choices of parts that go together are in one of them."""
-    candidates = [scheme for scheme in SCHEMES if wanted(scheme)]
-    choices = [_choices(scheme, strength) for scheme in candidates]
-    missing, chosen = set().union(*choices), []
-    while missing:
-        best = max(range(len(candidates)), key=lambda i: len(choices[i] & missing))
-        missing -= choices[best]
-        chosen.append(candidates[best])
-    return chosen
+    return cover([scheme for scheme in SCHEMES if wanted(scheme)], lambda scheme: _choices(scheme, strength))
 
 
 def label(scheme):

@@ -98,15 +98,15 @@ class GramStencil:
         self._entries = np.zeros((self.halo.local_nodes, len(half)))
         self.diagonals = np.zeros((len(self.offsets), self.halo.local_nodes))
         self._values = PaddedColumns(self.halo)
-        self._products: dict[int, FloatArray] = {}
+        self._products = PaddedColumns(self.halo)
         self.root, self.scale = np.empty(grid.local_cells), np.empty(grid.local_cells)
         self.version = -1
 
     @property
     def nbytes(self) -> int:
         """Bytes of the arrays held."""
-        arrays = (self._entries, self.diagonals, self.root, self.scale, *self._products.values())
-        return self._values.nbytes + sum(a.nbytes for a in arrays)
+        arrays = (self._entries, self.diagonals, self.root, self.scale)
+        return self._values.nbytes + self._products.nbytes + sum(a.nbytes for a in arrays)
 
     def refresh(self) -> bool:
         """Follow the mapping to its present positions; False if it has not moved. Collective."""
@@ -144,9 +144,8 @@ class GramStencil:
     def mult(self, mat: Any, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """y = G x, as PETSc calls it. Collective; one halo exchange."""
         values = self.load(x.getArray(readonly=True).reshape(-1, self.root.size))
-        product = self._products.setdefault(len(values), np.zeros(values.shape))
+        product, own = self._products.rows(len(values))
         stencil.multiply(self.diagonals, self.offsets, 1.0 + SHIFT, values, self.shape, self.halo.layout, product)
-        own = self.halo.own_rows(product)
         with y as out:
             out.reshape(own.shape)[...] = own
 

@@ -68,6 +68,8 @@ class Halo:
         self.owned_shape = tuple(int(size[b]) for size, b in zip(sizes, block, strict=True))
         self.ghost_shape = tuple(n + 2 * width for n in self.owned_shape)
         self.local_nodes = int(np.prod(self.ghost_shape))
+        self._padded = self.ghost_shape[::-1]
+        self._own = tuple(slice(width, width + n) for n in self.owned_shape[::-1])
         strides = np.concatenate([[1], np.cumprod(self.ghost_shape)])
         self.layout = (
             int(width * strides[: len(cells)].sum()),
@@ -126,11 +128,11 @@ class Halo:
 
     def own(self, padded: np.ndarray) -> np.ndarray:
         """View of the own nodes of a padded array (local_nodes, ...): (z, y, x, ...), axes there are. Local."""
-        return self.block(padded.reshape(self.ghost_shape[::-1] + padded.shape[1:]))
+        return padded.reshape(self._padded + padded.shape[1:])[self._own]
 
     def own_rows(self, rows: np.ndarray) -> np.ndarray:
         """View of the own nodes of rows (k, local_nodes): (k, z, y, x), axes there are. Local."""
-        return np.moveaxis(self.own(rows.T), -1, 0)
+        return rows.reshape(len(rows), *self._padded)[(slice(None), *self._own)]
 
     def add(self, *padded: FloatArray) -> None:
         """Add what ghosts hold into their owners, in place; ghosts keep their own share.
@@ -174,22 +176,26 @@ class PaddedColumns:
 
     def __init__(self, halo: Halo) -> None:
         self.halo = halo
-        self._arrays: dict[int, FloatArray] = {}
+        self._arrays: dict[int, tuple[FloatArray, FloatArray]] = {}
 
     @property
     def nbytes(self) -> int:
         """Bytes of the arrays."""
-        return sum(array.nbytes for array in self._arrays.values())
+        return sum(rows.nbytes for rows, _ in self._arrays.values())
+
+    def rows(self, count: int) -> tuple[FloatArray, FloatArray]:
+        """The array (count, local_nodes), and the view (count, z, y, x) of its own nodes. Local."""
+        if count not in self._arrays:
+            rows = np.zeros((count, self.halo.local_nodes))
+            self._arrays[count] = rows, self.halo.own_rows(rows)
+        return self._arrays[count]
 
     def load(self, own: FloatArray) -> FloatArray:
         """A padded copy (k, local_nodes) of own values (k, z, y, x) or (k, own nodes), valid until the next.
 
         Collective; one halo exchange.
         """
-        if len(own) not in self._arrays:
-            self._arrays[len(own)] = np.zeros((len(own), self.halo.local_nodes))
-        rows = self._arrays[len(own)]
-        block = self.halo.own_rows(rows)
+        rows, block = self.rows(len(own))
         block[...] = own.reshape(block.shape)
         self.halo.fill_rows(rows)
         return rows

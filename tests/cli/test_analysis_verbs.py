@@ -5,7 +5,7 @@ import json
 
 import pytest
 
-from helpers import ROOT, mpipic
+from helpers import ROOT, mpipic, mpipic_here
 
 pytestmark = pytest.mark.mpi
 
@@ -20,10 +20,14 @@ KEPT = {
 }
 
 
+def on(ranks, *args):
+    return mpipic(*args, ranks=ranks, timeout=120) if ranks > 1 else mpipic_here(*args)
+
+
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_spectrum_keeps_of_waves_what_is_known(tmp_path, ranks):
     names = "local,order:2,order:5,svd"
-    done = mpipic("spectrum", *LATTICE, "--filters", names, "-o", tmp_path, ranks=ranks, timeout=120)
+    done = on(ranks, "spectrum", *LATTICE, "--filters", names, "-o", tmp_path)
     assert done.returncode == 0, done.stderr
     with (tmp_path / "spectrum.csv").open() as file:
         rows = list(csv.DictReader(file))
@@ -38,7 +42,7 @@ def test_spectrum_keeps_of_waves_what_is_known(tmp_path, ranks):
 def test_filters_compares_cost_and_distance(tmp_path, ranks):
     file = tmp_path / "filters.json"
     settings = ["--set", "grid.cells=[12,12]", "--set", "particles.layout=random"]
-    done = mpipic("filters", *settings, "-o", file, ranks=ranks, timeout=120)
+    done = on(ranks, "filters", *settings, "-o", file)
     assert done.returncode == 0, done.stderr
     table = json.loads(file.read_text())
     rows = {row["filter"]: row for row in table["filters"]}
@@ -57,7 +61,7 @@ def test_filters_compares_cost_and_distance(tmp_path, ranks):
 
 
 def test_a_filter_that_there_is_not_is_refused_with_the_nearest(tmp_path):
-    done = mpipic("filters", "--filters", "locl,order:0,exact:3")
+    done = mpipic_here("filters", "--filters", "locl,order:0,exact:3")
     assert done.returncode == 2 and "Traceback" not in done.stderr
     assert 'Did you mean "local"?' in done.stderr and "after the colon" in done.stderr and "no order" in done.stderr
 
@@ -65,7 +69,7 @@ def test_a_filter_that_there_is_not_is_refused_with_the_nearest(tmp_path):
 def test_stability_writes_what_it_found(tmp_path):
     quick = ["--set", "grid.cells=[16]", "--set", "gas.flow=[0.25]", "--set", "time.cfl=0.2"]
     for ranks in (1, 2):
-        done = mpipic("stability", *quick, "-o", tmp_path / str(ranks), ranks=ranks, timeout=120)
+        done = on(ranks, "stability", *quick, "-o", tmp_path / str(ranks))
         assert done.returncode == 0, done.stderr
     one, two = (json.loads((tmp_path / str(n) / "stability.json").read_text()) for n in (1, 2))
     assert {"growth_per_step", "period_steps", "eigenvalue", "residual", "blow_up_step"} <= set(one)
@@ -75,16 +79,16 @@ def test_stability_writes_what_it_found(tmp_path):
 
 def test_stability_refuses_a_flow_that_does_not_recur_and_can_round_it(tmp_path):
     odd = ["--set", "grid.cells=[8]", "--set", "gas.flow=[0.31234]", "--set", "time.cfl=0.2"]
-    refused = mpipic("stability", *odd, "--max-period", "30", "-o", tmp_path)
+    refused = mpipic_here("stability", *odd, "--max-period", "30", "-o", tmp_path)
     assert refused.returncode == 2 and "near it, these do" in refused.stderr and "Traceback" not in refused.stderr
-    done = mpipic("stability", *odd, "--max-period", "30", "--round-flow", "-o", tmp_path)
+    done = mpipic_here("stability", *odd, "--max-period", "30", "--round-flow", "-o", tmp_path)
     assert done.returncode == 0 and json.loads((tmp_path / "stability.json").read_text())["period_steps"] <= 30
 
 
 def test_a_stability_map_has_a_point_for_every_value_and_filter(tmp_path):
     axes = ["--map", "gas.flow=0:0.5:3", "--map", "time.cfl=0.1:0.4:2"]
-    done = mpipic("stability", "--set", "grid.cells=[8]", *axes, "--filters", "none,local", "--max-period", "20",
-                  "-o", tmp_path, timeout=120)  # fmt: skip
+    done = mpipic_here("stability", "--set", "grid.cells=[8]", *axes, "--filters", "none,local", "--max-period", "20",
+                       "-o", tmp_path)  # fmt: skip
     assert done.returncode == 0, done.stderr
     with (tmp_path / "stability-map.csv").open() as file:
         rows = list(csv.DictReader(file))
@@ -104,7 +108,7 @@ def test_the_short_stress_suite_is_all_good(tmp_path, ranks):
 
 
 def test_a_run_above_the_cfl_limit_is_warned_before_and_told_after(tmp_path):
-    done = mpipic("run", ROOT / "configs" / "paper.toml", "--set", "time.cfl=3.0", "--set", "time.steps=1000",
-                  "--no-plots", "-o", tmp_path / "run")  # fmt: skip
+    done = mpipic_here("run", ROOT / "configs" / "paper.toml", "--set", "time.cfl=3.0", "--set", "time.steps=1000",
+                       "--no-plots", "-o", tmp_path / "run")  # fmt: skip
     assert done.returncode == 3
     assert "is above 2.8" in done.stderr and "cause: the time step" in done.stdout

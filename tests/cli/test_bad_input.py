@@ -76,6 +76,10 @@ SCENES: dict[str, tuple[list[str], list[str]]] = {
     ),
     "misspelt": (overrides("filter.kind=locl"), ['Did you mean "local"?']),
     "no-such-particles": (from_file("nothere.h5"), ["particles.path", "cannot be read: No such file or directory"]),
+    "particles-outside": (
+        from_file("outside.h5"),
+        ["particles.path: ", "position is outside [0, 1) on axis x in 1 row, first row 1: (1.5)"],
+    ),
     "too-sharp-in-3d": (
         overrides("grid.cells=[4, 4, 4]", "initial.sharpness=1e6"),
         ['initial = "gaussian": sharpness = 1e+06 needs', "this box allows sharpness up to"],
@@ -118,6 +122,8 @@ def make_files(folder: Path) -> None:
     wrong[3], wrong[5], wrong[12], density[19] = np.nan, 1.0, -0.5, np.inf
     with h5py.File(folder / "particles.h5", "w") as file:
         file["position"], file["velocity"] = good, np.zeros((20, 1))
+    with h5py.File(folder / "outside.h5", "w") as file:
+        file["position"] = [[0.5], [1.5]]
     with h5py.File(folder / "wrong.h5", "w") as file:
         file["position"], file["density"] = wrong, density
 
@@ -262,13 +268,3 @@ def test_wrong_usage_and_help_appear_once_under_mpiexec() -> None:
 def test_help_is_plain_text_where_it_is_kept(ranks: int) -> None:
     ended = mpipic("run", "--help", ranks=ranks, timeout=30)
     assert "--overwrite" in ended.stdout and "\x1b" not in ended.stdout
-
-
-@pytest.mark.parametrize("verb", ["check", "run"])
-def test_check_refuses_the_particle_file_that_a_run_refuses(verb, tmp_path):
-    with h5py.File(tmp_path / "outside.h5", "w") as file:
-        file["position"] = [[0.5], [1.5]]
-    wrong = ["--set", "particles.layout=file", "--set", f"particles.path={tmp_path / 'outside.h5'}"]
-    ended = mpipic(verb, *wrong, cwd=tmp_path)
-    assert ended.returncode == 2 and "Traceback" not in ended.stderr
-    assert ended.stderr.count("particles.path: ") == 1 and "1.5" in ended.stderr

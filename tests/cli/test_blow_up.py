@@ -76,15 +76,15 @@ def test_the_blow_up_is_dated_to_the_same_step_and_cell_on_any_number_of_ranks(
     assert math.isclose(found["blow_up"]["value"], one["blow_up"]["value"], rel_tol=1e-9)
 
 
-@RANKS
-def test_the_date_is_the_first_step_beyond_the_limit(growing: Callable[[int], Run], ranks: int, tmp_path: Path) -> None:
-    bad = growing(ranks)["summary"]["blow_up"]
-    limit = 1.5 * initial_peak(growing(ranks)["folder"])
+def test_the_date_is_the_first_step_beyond_the_limit(growing: Callable[[int], Run], tmp_path: Path) -> None:
+    """On 2 ranks: on any other number it is the same date, see above."""
+    bad = growing(2)["summary"]["blow_up"]
+    limit = 1.5 * initial_peak(growing(2)["folder"])
     assert bad["value"] > limit
     assert bad["step"] % 5 and bad["step"] % 10 and bad["step"] > 1, "a step at which the ranks do not talk"
     words = [word for text in GROWING for word in ("--set", text)]
     before = ["--set", f"time.steps={bad['step'] - 1}", "--no-plots", "--output", tmp_path / "before"]
-    ended = mpipic("run", *words, *before, ranks=ranks)
+    ended = mpipic("run", *words, *before, ranks=2)
     assert ended.returncode == 0, ended.stderr
     assert json.loads((tmp_path / "before" / "summary.json").read_text())["status"] == "completed"
 

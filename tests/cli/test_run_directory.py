@@ -16,7 +16,7 @@ import matplotlib.image
 import numpy as np
 import pytest
 
-from helpers import ROOT, mpipic, start
+from helpers import ROOT, mpipic, mpipic_here, start
 from mpipic.output import HISTORY_COLUMNS
 
 PAPER = ROOT / "configs" / "paper.toml"
@@ -210,10 +210,11 @@ def test_writing_snapshots_changes_no_result(small: tuple[Path, str], tmp_path: 
 
 @pytest.mark.mpi
 def test_without_a_scene_and_a_folder_the_papers_scene_goes_to_runs(
-    tmp_path: Path, paper: tuple[Path, str, str]
+    tmp_path: Path, paper: tuple[Path, str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.chdir(tmp_path)
     for _ in range(2):
-        ended = mpipic("run", "--no-plots", "--quiet", cwd=tmp_path)
+        ended = mpipic_here("run", "--no-plots", "--quiet")
         assert ended.returncode == 0, ended.stderr
     folders = sorted((tmp_path / "runs").iterdir())
     assert len(folders) == 2 and all(re.fullmatch(r"paper-\d{8}-\d{6}(-2)?", path.name) for path in folders)
@@ -225,10 +226,10 @@ def test_without_a_scene_and_a_folder_the_papers_scene_goes_to_runs(
 
 def test_overwrite_replaces_the_results_of_the_earlier_run(tmp_path: Path) -> None:
     words = ["run", "--no-plots", "--quiet", "--output", str(tmp_path / "out")]
-    assert mpipic(*words, *sets("time.steps=6", "output.every=2")).returncode == 0
-    assert mpipic(*words, *sets("time.steps=3")).returncode == 2
+    assert mpipic_here(*words, *sets("time.steps=6", "output.every=2")).returncode == 0
+    assert mpipic_here(*words, *sets("time.steps=3")).returncode == 2
     assert read_summary(tmp_path / "out")["steps"] == 6
-    assert mpipic(*words, "--overwrite", *sets("time.steps=3")).returncode == 0
+    assert mpipic_here(*words, "--overwrite", *sets("time.steps=3")).returncode == 0
     assert read_summary(tmp_path / "out")["steps"] == 3
     assert not (tmp_path / "out" / "particles.h5").exists(), "no snapshot of another run stays"
 

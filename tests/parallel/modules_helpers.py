@@ -1,6 +1,7 @@
-"""What each rank runs for `test_imports.py`: python modules_helpers.py FOLDER ARGUMENTS of `mpipic`.
+"""What each rank runs for `test_imports.py`: python modules_helpers.py FOLDER ARGUMENTS [then ARGUMENTS]...
 
-Every rank writes the names of the modules and packages that were imported in the end to FOLDER/<rank>.
+The arguments are those of `mpipic`, called in turn up to the first exit code that is not 0. Every rank writes the names
+of the modules and packages that were imported in the end to FOLDER/<rank>.
 """
 
 from __future__ import annotations
@@ -20,8 +21,15 @@ def write_modules(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    place = Path(sys.argv.pop(1))
+    place, words = Path(sys.argv[1]), sys.argv[2:]
     try:
-        main()
+        while words:
+            end = words.index("then") if "then" in words else len(words)
+            sys.argv, words = ["mpipic", *words[:end]], words[end + 1 :]
+            try:
+                main()
+            except SystemExit as stop:
+                if stop.code:
+                    raise
     finally:
         write_modules(place)

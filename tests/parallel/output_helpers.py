@@ -1,4 +1,7 @@
-"""What each rank runs for `test_output_ranks.py`: python output_helpers.py CASE FOLDER."""
+"""What each rank runs for `test_output_ranks.py`: python output_helpers.py FOLDER CASE...
+
+A case writes to FOLDER/CASE; each is begun by all ranks together.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import os
 import sys
 from pathlib import Path
 from types import SimpleNamespace
+from unittest import mock
 
 import numpy as np
 from mpi4py import MPI
@@ -89,9 +93,8 @@ def case_write(folder: Path) -> None:
 
 def case_funnel(folder: Path) -> None:
     """The same through rank 0, in pieces of a few rows."""
-    hdf5.has_mpi = lambda: False
-    output.PIECE_BYTES = 400
-    case_write(folder)
+    with mock.patch.object(hdf5, "has_mpi", lambda: False), mock.patch.object(output, "PIECE_BYTES", 400):
+        case_write(folder)
 
 
 def case_failure(folder: Path) -> None:
@@ -106,9 +109,8 @@ def case_failure(folder: Path) -> None:
             if len(calls) == 4 and COMM.rank == (COMM.size - 1 if series._collective else 0):
                 raise OSError("disk full")
 
-        hdf5.write_block = failing
-        expect_error(lambda: write_step(series, 1, 1), "step 1", "disk full")
-        hdf5.write_block = place
+        with mock.patch.object(hdf5, "write_block", failing):
+            expect_error(lambda: write_step(series, 1, 1), "step 1", "disk full")
         expect_error(lambda: write_step(series, 0, 1), "written before")
         wrong = particles_of(COMM.rank, COMM.size, 1)
         if COMM.rank == COMM.size - 1:
@@ -122,8 +124,8 @@ def case_failure(folder: Path) -> None:
 
 def case_failure_funnel(folder: Path) -> None:
     """The same when rank 0 writes for all."""
-    hdf5.has_mpi = lambda: False
-    case_failure(folder)
+    with mock.patch.object(hdf5, "has_mpi", lambda: False):
+        case_failure(folder)
 
 
 def case_killed(folder: Path) -> None:
@@ -195,5 +197,7 @@ def case_read(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    globals()[f"case_{sys.argv[1]}"](Path(sys.argv[2]))
-    print(f"rank {COMM.rank} of {COMM.size} done", flush=True)
+    for name in sys.argv[2:]:
+        COMM.Barrier()
+        globals()[f"case_{name}"](Path(sys.argv[1]) / name)
+        os.write(1, f"rank {COMM.rank} of {COMM.size} did {name}\n".encode())  # one write: prints may come out mixed

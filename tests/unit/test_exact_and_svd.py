@@ -1,5 +1,6 @@
 """The two filters that are the orthogonal projection on what the nodes see: by a solve on nodes, and by SLEPc."""
 
+from functools import cache
 from itertools import product
 
 import numpy as np
@@ -28,6 +29,7 @@ def roomy_case(box, name):
     return Mapping(grid_of(cells, length), position), Dense(cells, length, position)
 
 
+@cache
 def matrix_case(kind, box, name):
     """The filter as a matrix, filled column by column from the identity, and the dense matrices."""
     mapping, dense = roomy_case(box, name)

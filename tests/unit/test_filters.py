@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from covering import covering
 from dense_helpers import GRIDS, PATTERNS, Dense, close, pattern
 from mpipic.filters import FILTERS, Filter, LocalFilter, NodalFilter
 from mpipic.mapping import Mapping
@@ -12,6 +13,7 @@ every_kind = pytest.mark.parametrize("kind", sorted(FILTERS))
 every_nodal_kind = pytest.mark.parametrize("kind", [k for k in sorted(FILTERS) if issubclass(FILTERS[k], NodalFilter)])
 every_grid = pytest.mark.parametrize("box", GRIDS)
 every_pattern = pytest.mark.parametrize("name", PATTERNS)
+covered = pytest.mark.parametrize(("kind", "box", "name"), covering(2, sorted(FILTERS), GRIDS, PATTERNS))
 roomy = pytest.mark.parametrize("box", ["1D", "2D", "2D, aspect 1e6", "3D"])
 
 
@@ -46,18 +48,14 @@ def test_a_filter_is_its_formula(kind, box, name):
     close(filter_.apply(q), dense.filter(kind) @ q, allowed(kind, 1e-12), scale=np.abs(q).max())
 
 
-@every_kind
-@every_grid
-@every_pattern
+@covered
 def test_a_filter_keeps_constants(kind, box, name):
     filter_, dense = case(box, name, kind)
     ones = np.ones(len(dense.phi))
     close(filter_.apply(ones), ones, allowed(kind, 1e-13))
 
 
-@every_kind
-@every_grid
-@every_pattern
+@covered
 def test_a_filter_conserves_the_sum(kind, box, name):
     filter_, dense = case(box, name, kind)
     q = noise(len(dense.phi), 2) + 0.1
@@ -185,9 +183,7 @@ def weighted_case(box, name, kind, uniform=None):
     return make(kind, mapping), Dense(cells, length, position, weight), weight
 
 
-@every_kind
-@every_grid
-@every_pattern
+@covered
 def test_with_weights_a_filter_is_its_weighted_formula(kind, box, name):
     filter_, dense, weight = weighted_case(box, name, kind)
     q = noise(len(weight))
@@ -195,9 +191,7 @@ def test_with_weights_a_filter_is_its_weighted_formula(kind, box, name):
     close(filter_.apply(q), dense.filter(kind) @ q, allowed(kind, 1e-12), scale=scale)
 
 
-@every_kind
-@every_grid
-@every_pattern
+@covered
 def test_with_weights_a_filter_conserves_the_weighted_sum_and_keeps_constants(kind, box, name):
     filter_, _, weight = weighted_case(box, name, kind)
     q = noise(len(weight), 2) + 0.1

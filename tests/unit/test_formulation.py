@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from covering import covering
 from dense_helpers import Dense, close, pattern, run_euler
 from mpipic.filters import FILTERS
 from mpipic.formulation import OnParticles, ParticleEuler, Rates, SymplecticEuler, UnfilteredEuler, symplectic
@@ -30,8 +31,8 @@ STEPS = {"exact": 12, "svd": 12}
 
 every_dimension = pytest.mark.parametrize("dim", [1, 2, 3])
 every_kind = pytest.mark.parametrize("kind", KINDS)
-every_flow = pytest.mark.parametrize("flow", FLOWS)
-every_pattern = pytest.mark.parametrize("name", ["random", "jittered", "lattice", "on nodes", "few"])
+PATTERNS = ("random", "jittered", "lattice", "on nodes", "few")
+covered = pytest.mark.parametrize(("dim", "kind", "name", "flow"), covering(3, (1, 2, 3), KINDS, PATTERNS, FLOWS))
 
 
 def case(dim, name, flow):
@@ -82,10 +83,7 @@ def test_the_step_is_that_on_nodes_where_the_filter_has_a_form_there():
     assert steps == {"none": UnfilteredEuler, **on_nodes, "svd": OnParticles}
 
 
-@every_dimension
-@every_kind
-@every_pattern
-@every_flow
+@covered
 def test_the_fused_step_is_the_dense_one(dim, kind, name, flow):
     cells, length, position, density, velocity, displacement = case(dim, name, flow)
     grid, rates = grid_of(cells, length), rates_of(cells, length)
@@ -99,10 +97,7 @@ def test_the_fused_step_is_the_dense_one(dim, kind, name, flow):
         close(field, expected, allowed(kind, 1e-12), scale=size)
 
 
-@every_dimension
-@every_kind
-@every_pattern
-@every_flow
+@covered
 def test_the_fused_step_is_the_plain_one(dim, kind, name, flow):
     cells, length, *particles, displacement = case(dim, name, flow)
     grid, rates = grid_of(cells, length), rates_of(cells, length)

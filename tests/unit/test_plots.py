@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
+from covering import covering
 from mpipic import plots
 from mpipic.plots import draw_error, draw_solution, gather_sample
 
@@ -93,9 +94,10 @@ def test_3d_shows_a_slab_the_centre_line_and_parity(tmp_path: Path, figures: lis
     assert np.allclose(parity.lines[0].get_xdata(), parity.lines[0].get_ydata())
 
 
-@pytest.mark.parametrize("dim", [1, 2, 3])
-@pytest.mark.parametrize("case", ["zero", "tiny", "nan", "huge", "mixed", "empty", "one"])
-@pytest.mark.parametrize("with_exact", [True, False])
+CASES = ("zero", "tiny", "nan", "huge", "mixed", "empty", "one")
+
+
+@pytest.mark.parametrize(("dim", "case", "with_exact"), covering(2, (1, 2, 3), CASES, (True, False)))
 def test_no_data_can_break_a_solution(tmp_path: Path, dim: int, case: str, with_exact: bool) -> None:
     data = sample(dim, {"empty": 0, "one": 1}.get(case, 40))
     factor = {"zero": 0.0, "tiny": 5e-324, "nan": np.nan, "huge": 1e300}.get(case, 1.0)
