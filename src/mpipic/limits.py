@@ -18,6 +18,8 @@ REACHES = {"symplectic": 2.0, "rk4": 2.0 * np.sqrt(2.0)}
 """Integrator to the largest frequency times dt on the imaginary axis that it is stable for; midpoint has none."""
 SAMPLE = {1: 48, 2: 12, 3: 6}
 """Dimension to the cells per axis of the piece of the scene that is looked at."""
+DIGITS = 1e-5
+"""To what the frequency is computed, which takes a solve with the Gram matrix for every node."""
 
 
 def cfl_limit(scene: Scene, comm: MPI.Comm) -> float | None:
@@ -54,6 +56,8 @@ def _piece(scene: Scene) -> Scene:
     data["output"] = {}
     if data["filter"]["kind"] == "svd":
         data["filter"]["kind"] = "exact"
+    if data["filter"]["kind"] == "exact" or scene.mapping.mass != "lumped":
+        data["filter"]["tolerance"] = max(scene.filter.tolerance, DIGITS)
     data["time"]["steps"] = 0
     return Scene.from_dict(data, name=scene.name)
 
