@@ -7,15 +7,15 @@ from typing import Any
 
 PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     "recommended": {
-        "mapping": {"basis": "cubic", "mass": "penalised", "gradient": "grid"},
+        "mapping": {"basis": "cubic", "mass": "penalised", "penalty": 3.0, "penalty_order": 4, "gradient": "grid"},
         "filter": {"kind": "exact"},
-        "damping": {"order": 4, "strength": 1.0},
+        "damping": {"order": 0, "null_space": 1.0},
         "time": {"integrator": "rk4"},
     },
     "paper": {
         "mapping": {"basis": "linear", "mass": "lumped", "gradient": "direct"},
         "filter": {"kind": "local"},
-        "damping": {"order": 0},
+        "damping": {"order": 0, "null_space": 0.0},
         "time": {"integrator": "symplectic"},
     },
 }

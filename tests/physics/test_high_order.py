@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from helpers import ROOT
-from mpipic.presets import with_preset
 from mpipic.scene import Scene
 from run_helpers import error_of, orders, run_scene, scene_of
 
@@ -73,31 +72,44 @@ def test_at_equal_cells_every_step_up_in_the_scheme_is_a_gain():
 
 # ---------------------------------------------------------------- particles at random
 
-RANDOM = {1: 5e-4, 2: 1e-4, 4: 1e-4}
-"""Particles a cell, on average, to the error that the recommended scheme stays below."""
+RANDOM = {
+    "recommended": ({}, {1: 1.5e-3, 2: 3.5e-4, 4: 2.5e-4}),
+    "waves damped": (
+        {"mapping.penalty": 0.1, "damping.null_space": 0, "damping.order": 4, "damping.strength": 1},
+        {1: 5e-4, 2: 1e-4, 4: 1e-4},
+    ),
+}
+"""Changes to the recommended scheme, and particles a cell, on average, to the error that it stays below."""
 
 
-def random_pulse(per_cell, seed, preset):
-    particles = {"layout": "random", "per_cell": [per_cell], "seed": seed}
-    data = with_preset({"particles": particles, "gas": {"flow": [0.1]}}, preset)
-    return ending_at(1.0, 0.2, (48,), **data)
+def random_pulse(per_cell, seed, preset, changes=()):
+    """48 cells, CFL 0.2, until t = 1."""
+    keys = {"grid.cells": [48], "gas.flow": [0.1], "time.dt": 1 / 240, "time.steps": 240, **dict(changes)}
+    keys |= {"particles.layout": "random", "particles.per_cell": [per_cell], "particles.seed": seed}
+    return Scene.load(None, [f"{key}={value}" for key, value in keys.items()], preset)
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
-@pytest.mark.parametrize("per_cell", RANDOM)
-def test_on_random_particles_the_recommended_scheme_is_accurate_and_the_paper_s_is_not(per_cell, seed):
-    error = error_of(random_pulse(per_cell, seed, "recommended"))
-    assert error < RANDOM[per_cell]
-    scene = random_pulse(per_cell, seed, "paper")
+@pytest.mark.parametrize("per_cell", [1, 2, 4])
+@pytest.mark.parametrize("name", RANDOM)
+def test_on_random_particles_penalised_splines_are_accurate(name, per_cell, seed):
+    changes, errors = RANDOM[name]
+    assert error_of(random_pulse(per_cell, seed, "recommended", changes.items())) < errors[per_cell]
+
+
+@pytest.mark.parametrize("per_cell", [1, 2, 4])
+def test_on_random_particles_the_recommended_scheme_is_a_hundred_times_as_accurate_as_the_paper_s(per_cell):
+    error = error_of(random_pulse(per_cell, 0, "recommended"))
+    scene = random_pulse(per_cell, 0, "paper")
     _, outcome, reports = run_scene(scene)
     assert outcome.status == "unstable" or reports.errors[scene.time.steps].density.l2 > 100 * error
 
 
 def test_the_recommended_configuration_does_what_it_says():
     path = ROOT / "configs" / "recommended.toml"
-    assert "l2 error of the density below 1e-6 at t = 1" in path.read_text()
+    assert "l2 error of the density below 2e-6 at t = 1" in path.read_text()
     scene = Scene.load(path)
-    assert scene.duration == pytest.approx(1.0) and error_of(scene) < 1e-6
+    assert scene.duration == pytest.approx(1.0) and error_of(scene) < 2e-6
     paper = Scene.load(path, preset="paper")
     _, outcome, _ = run_scene(paper)
     assert outcome.status == "unstable" and outcome.step * paper.dt == pytest.approx(0.3, abs=0.05)

@@ -57,11 +57,11 @@ def test_every_preset_makes_a_scene_in_any_dimension(name, cells):
 
 def test_the_recommended_scheme_is_the_one_that_it_says():
     scene = Scene.load(None, preset="recommended")
-    mapping = {"basis": "cubic", "mass": "penalised", "penalty": 0.1, "penalty_order": 4}
+    mapping = {"basis": "cubic", "mass": "penalised", "penalty": 3.0, "penalty_order": 4}
     mapping |= {"gradient": "grid", "gradient_order": 10}
     assert scene.to_dict()["mapping"] == mapping
     assert scene.filter.kind == "exact" and scene.time.integrator == "rk4"
-    assert (scene.damping.order, scene.damping.strength) == (4, 1.0)
+    assert (scene.damping.order, scene.damping.null_space) == (0, 1.0)
 
 
 def test_the_paper_s_scheme_is_that_of_the_defaults():
@@ -75,7 +75,7 @@ def test_a_preset_is_put_in_place_of_a_file_s_scheme_and_overrides_change_it(tmp
     scene = Scene.load(file, ["damping.order=3", "filter.tolerance=1e-8", "time.dt=0.01"], preset="recommended")
     assert scene.name == "mine" and scene.grid.cells == (12, 8) and scene.time.steps == 7
     assert scene.mapping == Scene.load(None, preset="recommended").mapping
-    assert (scene.damping.order, scene.damping.strength, scene.filter.tolerance) == (3, 1.0, 1e-8)
+    assert (scene.damping.order, scene.damping.null_space, scene.filter.tolerance) == (3, 1.0, 1e-8)
     assert (scene.time.dt, scene.time.cfl, scene.time.integrator) == (0.01, None, "rk4")
     assert Scene.load(file) == Scene.from_dict(OTHER), "without one, the file's own holds"
 
