@@ -17,8 +17,10 @@ from mpipic.scene import Scene
 from mpipic.sweep import ParticleSweep
 
 if TYPE_CHECKING:
+    from mpipic.integrators import Integrator
     from mpipic.mass import Mass
-    from mpipic.schemes import Damping, Gas, Integrator, NodalScheme
+    from mpipic.schemes import Damping, Gas, NodalScheme
+    from mpipic.slopes import Slopes
 
 
 class Formulation(Protocol):
@@ -83,19 +85,20 @@ def _high_order(scene: Scene, carrier: ParticleSweep) -> Formulation:
 def build_rates(scene: Scene, carrier: ParticleSweep) -> NodalScheme:
     """The scene's step in its general form on nodes, whichever faster form it may have. Collective."""
     from mpipic import schemes
+    from mpipic.slopes import FilteredSlopes, GridSlopes, UnfilteredSlopes
 
     mapping, kind = scene.mapping, scene.filter.kind
     on_grid = mapping.gradient == "grid"
     unchanged = on_grid and kind in ("none", "exact", "svd")
     mass = _mass(scene, carrier)
     keep = None if unchanged or kind == "none" else _filter(scene, carrier, mass)
-    slopes: schemes.Slopes
+    slopes: Slopes
     if on_grid:
-        slopes = schemes.GridSlopes(carrier, mass, mapping.gradient_order, keep)
+        slopes = GridSlopes(carrier, mass, mapping.gradient_order, keep)
     elif keep is None:
-        slopes = schemes.UnfilteredSlopes(carrier, mass)
+        slopes = UnfilteredSlopes(carrier, mass)
     else:
-        slopes = schemes.FilteredSlopes(carrier, mass, keep, skew=mapping.gradient == "skew")
+        slopes = FilteredSlopes(carrier, mass, keep, skew=mapping.gradient == "skew")
     integrate = _integrator(scene, symmetric=unchanged and mapping.mass != "lumped")
     damping = _damping(scene, carrier.grid)
     return schemes.NodalScheme(carrier, _gas(scene), scene.dt, mass, slopes, integrate, damping)
@@ -116,7 +119,7 @@ def _mass(scene: Scene, mapping: NodalMapping) -> Mass:
 
 
 def _integrator(scene: Scene, symmetric: bool) -> Integrator:
-    from mpipic.schemes import INTEGRATORS
+    from mpipic.integrators import INTEGRATORS
 
     if scene.time.integrator == "midpoint":
         from mpipic.midpoint import Midpoint

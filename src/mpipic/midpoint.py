@@ -16,8 +16,8 @@ from petsc4py import PETSc
 
 from mpipic.errors import NotConverged
 from mpipic.grid import FloatArray
+from mpipic.integrators import Rates, State, Step
 from mpipic.petsc_objects import close_at_exit
-from mpipic.schemes import Rates, State, Step
 
 
 class _Product:
@@ -71,7 +71,7 @@ class Midpoint:
             self._ksp = None
 
     def __call__(self, rates: Rates, state: State, dt: float) -> Step:
-        """One step; see `mpipic.schemes`."""
+        """One step; see `mpipic.integrators`."""
         self._rates, self._half = rates, 0.5 * dt
         right = state[:, :1] + self._half * rates.density(state, 0).field
         middle = state.copy()

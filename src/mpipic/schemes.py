@@ -7,28 +7,27 @@ filter, D times nodal fields). So all stages of an integrator run on nodal array
 gives them their increments. Three choices make a scheme:
 
 - a `Mass` (mpipic.mass) takes the sums Φᵀq to nodal fields, and says how these answer to an increment Φ a;
-- `Slopes` take nodal fields to the coefficients of the filtered particle gradient;
-- an integrator combines stages, each a function of the nodal state (ρ, u) in one array (local_nodes, 1 + d).
+- `Slopes` (mpipic.slopes) take nodal fields to the coefficients of the filtered particle gradient;
+- an integrator (mpipic.integrators, mpipic.midpoint) combines stages, each a function of the nodal state (ρ, u) in one
+  array (local_nodes, 1 + d).
 
 `PlainScheme` is the same method written with particle values alone, for any filter.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
-from mpi4py import MPI
 
-from mpipic.filters import Filter, NodalFilter
-from mpipic.grid import FloatArray, Grid
+from mpipic.filters import Filter
+from mpipic.grid import FloatArray
 from mpipic.grid_operators import CentralDifference, LowPass
-from mpipic.mapping import Mapping, NodalMapping
+from mpipic.integrators import Integrator, Rates, State
+from mpipic.mapping import Mapping
 from mpipic.mass import Mass
-from mpipic.sweep import ParticleSweep, SplineSweep
+from mpipic.slopes import Rate, Slopes
+from mpipic.sweep import ParticleSweep
 
 
 @dataclass(frozen=True)
@@ -37,225 +36,6 @@ class Gas:
 
     density: float
     stiffness: float
-
-
-class Rate(NamedTuple):
-    """Of one field: coefficients of the particles' change, and the change of the nodal field; (local_nodes, k)."""
-
-    coefficients: FloatArray
-    field: FloatArray
-
-
-class Slopes(ABC):
-    """Divergence and gradient of nodal fields as changes of particle values."""
-
-    direct = False
-    """Whether coefficients are nodal fields that particles take the gradient of themselves."""
-
-    @abstractmethod
-    def divergence(self, u: FloatArray, stage: int) -> Rate:
-        """Of (local_nodes, d)."""
-
-    @abstractmethod
-    def gradient(self, rho: FloatArray, stage: int) -> Rate:
-        """Of (local_nodes, 1)."""
-
-    def forget(self) -> None:
-        """Begin every series anew. Local."""
-        return
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes held."""
-        return 0
-
-
-class UnfilteredSlopes(Slopes):
-    """D at the particles, unfiltered: each particle takes the gradient of the nodal fields itself."""
-
-    direct = True
-
-    def __init__(self, sweep: ParticleSweep, mass: Mass) -> None:
-        self.sweep, self.mass = sweep, mass
-
-    def divergence(self, u: FloatArray, stage: int) -> Rate:
-        """Coefficients u."""
-        sums = self.sweep.complete(self.sweep.divergence_sums(u, out=self.sweep.grid.zeros(1)))
-        return Rate(u, self.mass.fields(sums, f"divergence {stage}"))
-
-    def gradient(self, rho: FloatArray, stage: int) -> Rate:
-        """Coefficients ρ."""
-        sums = self.sweep.complete(self.sweep.gradient_sums(rho, out=self.sweep.grid.zeros(self.sweep.grid.dim)))
-        return Rate(rho, self.mass.fields(sums, f"gradient {stage}"))
-
-
-class FilteredSlopes(Slopes):
-    """F D at the particles (the paper), or with `skew`, F of ½(D - (Dᵀ)ᵀ): ½(C - Cᵀ) in place of C = ΦᵀD.
-
-    Skew, with least-squares fields and the exact projection, the rates are a skew-symmetric operator on particle
-    values: no integrator that is stable on the imaginary axis can make it grow. Its price is consistency on disordered
-    particles.
-    """
-
-    def __init__(self, sweep: ParticleSweep, mass: Mass, filter_: NodalFilter, skew: bool = False) -> None:
-        self.sweep, self.mass, self.filter, self.skew = sweep, mass, filter_, skew
-
-    def divergence(self, u: FloatArray, stage: int) -> Rate:
-        """Coefficients N Σ_a C^a u_a."""
-        sums = self.sweep.divergence_sums(u, out=self.sweep.grid.zeros(1))
-        if self.skew:
-            sums = 0.5 * (sums - self._transposable.transposed_divergence_sums(u, out=self.sweep.grid.zeros(1)))
-        return self._rate(sums, f"divergence {stage}")
-
-    def gradient(self, rho: FloatArray, stage: int) -> Rate:
-        """Coefficients N C^a ρ."""
-        dim = self.sweep.grid.dim
-        sums = self.sweep.gradient_sums(rho, out=self.sweep.grid.zeros(dim))
-        if self.skew:
-            sums = 0.5 * (sums - self._transposable.transposed_gradient_sums(rho, out=self.sweep.grid.zeros(dim)))
-        return self._rate(sums, f"gradient {stage}")
-
-    def _rate(self, sums: FloatArray, series: str) -> Rate:
-        a = self.filter.coefficients(self.sweep.complete(sums), series=series)
-        return Rate(a, self.mass.response(a))
-
-    @property
-    def _transposable(self) -> SplineSweep:
-        assert isinstance(self.sweep, SplineSweep)
-        return self.sweep
-
-    def forget(self) -> None:
-        """Begin every series anew. Local."""
-        self.filter.forget()
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes that the filter holds."""
-        return self.filter.nbytes
-
-
-class GridSlopes(Slopes):
-    """Derivatives taken on the nodal arrays, by central differences: particles get Φ times them.
-
-    What they get is in range(Φ) already, so that the exact projection and its equals change nothing and are left out;
-    any other filter acts on it: N G in place of 1.
-    """
-
-    def __init__(self, sweep: NodalMapping, mass: Mass, order: int, filter_: NodalFilter | None = None) -> None:
-        self.sweep, self.mass, self.filter = sweep, mass, filter_
-        self.difference = CentralDifference(sweep.grid, order)
-
-    def divergence(self, u: FloatArray, stage: int) -> Rate:
-        """Coefficients Σ_a ∂_a u_a."""
-        return self._rate(self.difference.divergence(u), f"divergence {stage}")
-
-    def gradient(self, rho: FloatArray, stage: int) -> Rate:
-        """Coefficients ∂_a ρ."""
-        return self._rate(self.difference.gradient(rho), f"gradient {stage}")
-
-    def _rate(self, a: FloatArray, series: str) -> Rate:
-        if self.filter is not None:
-            a = self.filter.coefficients(self.sweep.apply_gram(a), series=series)
-        return Rate(a, self.mass.response(a))
-
-    def forget(self) -> None:
-        """Begin every series anew. Local."""
-        if self.filter is not None:
-            self.filter.forget()
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of the differences, and of the filter if there is one."""
-        return self.difference.nbytes + (self.filter.nbytes if self.filter else 0)
-
-
-# ---------------------------------------------------------------- integrators
-
-State = FloatArray
-"""ρ and u in one array (rows, 1 + d), of nodes or of particles."""
-
-
-class Step(NamedTuple):
-    """What an integrator makes of a step: the particles' change (as coefficients), and the state at its end."""
-
-    change: State
-    end: State
-
-
-class Rates(ABC):
-    """Time derivatives of a state, positions frozen: what integrators work with."""
-
-    @abstractmethod
-    def density(self, state: State, stage: int) -> Rate:
-        """Of ρ, from u."""
-
-    @abstractmethod
-    def velocity(self, state: State, stage: int) -> Rate:
-        """Of u, from ρ."""
-
-    grid: Grid
-
-    @abstractmethod
-    def own(self, column: FloatArray) -> FloatArray:
-        """This rank's own numbers of one field (rows, 1), compact."""
-
-    @abstractmethod
-    def spread(self, own: FloatArray) -> FloatArray:
-        """The field (rows, 1) of these numbers, ghosts and all. Collective."""
-
-    @property
-    def dim(self) -> int:
-        """Dimension."""
-        return self.grid.dim
-
-    @property
-    def comm(self) -> MPI.Comm:
-        """Communicator."""
-        return self.grid.comm
-
-    def any(self, mine: bool) -> bool:
-        """Whether it is so on any rank. Collective."""
-        return bool(self.grid.reduce(np.array([float(mine)]), MPI.MAX)[0])
-
-    def size(self, own: FloatArray) -> float:
-        """A power of two near the largest of these numbers on all ranks. Collective."""
-        return self.grid.size_of(own)
-
-    def both(self, state: State, stage: int) -> Rate:
-        """Of ρ and u."""
-        rho, u = self.density(state, stage), self.velocity(state, stage)
-        return Rate(self.join(rho.coefficients, u.coefficients), np.concatenate([rho.field, u.field], axis=1))
-
-    def join(self, of_density: FloatArray, of_velocity: FloatArray) -> State:
-        """Coefficients of both changes in one array."""
-        return np.concatenate([of_density, of_velocity], axis=1)
-
-
-Integrator = Callable[[Rates, State, float], Step]
-
-
-def symplectic(rates: Rates, state: State, dt: float) -> Step:
-    """Symplectic Euler (Formulation 2): ρ from u at t, then u from ρ at t + dt."""
-    rho = rates.density(state, 0)
-    end = state.copy()
-    end[:, :1] += dt * rho.field
-    u = rates.velocity(end, 0)
-    end[:, 1:] += dt * u.field
-    return Step(dt * rates.join(rho.coefficients, u.coefficients), end)
-
-
-def rk4(rates: Rates, state: State, dt: float) -> Step:
-    """The classical Runge-Kutta method of order 4; stable while the largest frequency times dt is below 2.8."""
-    first = rates.both(state, 0)
-    second = rates.both(state + 0.5 * dt * first.field, 1)
-    third = rates.both(state + 0.5 * dt * second.field, 2)
-    fourth = rates.both(state + dt * third.field, 3)
-    change, field = (dt / 6.0 * (first[part] + 2.0 * (second[part] + third[part]) + fourth[part]) for part in (0, 1))
-    return Step(change, state + field)
-
-
-INTEGRATORS: dict[str, Integrator] = {"symplectic": symplectic, "rk4": rk4}
-"""Name to function; `midpoint` joins them from its own module."""
 
 
 # ---------------------------------------------------------------- damping

@@ -14,10 +14,11 @@ from mpipic.filters import FILTERS
 from mpipic.formulation import OnParticles, SymplecticEuler, UnfilteredEuler
 from mpipic.grid import Grid
 from mpipic.grid_operators import CentralDifference, LowPass
+from mpipic.integrators import INTEGRATORS
 from mpipic.mapping import Mapping
 from mpipic.mass import LeastSquaresMass, LumpedMass
 from mpipic.midpoint import Midpoint
-from mpipic.schemes import INTEGRATORS, Damping, NodalScheme, PlainScheme
+from mpipic.schemes import Damping, NodalScheme, PlainScheme
 from mpipic.schemes import Gas as Factors
 from scheme_helpers import SCHEMES, TIGHT, Run, covering, label
 from spline_helpers import Gas, Scheme, Splines, particle_step, run_steps, short_step
