@@ -4,9 +4,10 @@
         [--seeds 20] [--set KEY=VALUE]
 
 For random and jittered (by up to 0.4 spacings) particles, and flows that move all axes and recur after a few steps. A
-step is q ← q + Φ K W q: W takes particles to nodes, K is the nodal step. Here these are dense matrices in plain NumPy,
-so that the monodromy M costs a few products and all its eigenvalues are found. For one pattern of every group M is
-held to the steps of a run, and where there are few unknowns its growth to that of `mpipic.stability`.
+step is q ← (1 - α) q + Φ (K + α) W q: W takes particles to nodes, K is the nodal step, α the damping of the null space.
+Here these are dense matrices in plain NumPy, so that the monodromy M costs a few products and all its eigenvalues are
+found. For one pattern of every group M is held to the steps of a run, and where there are few unknowns its growth to
+that of `mpipic.stability`.
 """
 
 from __future__ import annotations
@@ -111,11 +112,11 @@ def difference(n: int, order: int) -> Matrix:
 
 
 class Steps:
-    """The steps of a scene at given positions, in cells: W, (m, n), and K on (node, field), node by node."""
+    """The steps of a scene at given positions, in cells: α, W, (m, n), and K on (node, field), node by node."""
 
     def __init__(self, scene: Scene) -> None:
         self.dim, self.n, self.scene = scene.dim, scene.grid.cells[0], scene
-        self.degree = DEGREES[scene.mapping.basis]
+        self.degree, self.share = DEGREES[scene.mapping.basis], min(1.0, scene.damping.null_space * scene.cfl)
         if scene.mapping.mass != "penalised":
             return
         dim, n, mapping, damping = self.dim, self.n, scene.mapping, scene.damping
@@ -128,7 +129,8 @@ class Steps:
             z -= scene.cfl * np.kron(along(a, dim, slope), entry(dim, 0, a + 1) + entry(dim, a + 1, 0))
         one = np.eye(len(z))
         rk4 = one + z @ (one + z / 2.0 @ (one + z / 3.0 @ (one + z / 4.0)))
-        loss = min(1.0, damping.strength * scene.cfl) * np.linalg.matrix_power(second, damping.order)
+        strength = min(1.0, damping.strength * scene.cfl) if damping.order else 0.0
+        loss = strength * np.linalg.matrix_power(second, damping.order)
         keep = reduce(np.matmul, [along(a, dim, np.eye(n) - loss) for a in range(dim)])
         self.nodal = np.kron(keep, np.eye(1 + dim)) @ rk4 - one
 
@@ -158,7 +160,8 @@ def monodromy(scene: Scene, x: Matrix, move: Matrix, period: int) -> Matrix:
     for step in range(period):
         phi, nodal, to_nodes = steps.at(np.mod(x + step * move, steps.n))
         fields = (to_nodes @ m.reshape(len(x), -1)).reshape(-1, len(m))
-        m += (phi @ (nodal @ fields).reshape(phi.shape[1], -1)).reshape(m.shape)
+        change = nodal @ fields + steps.share * fields
+        m = (1.0 - steps.share) * m + (phi @ change.reshape(phi.shape[1], -1)).reshape(m.shape)
     return m
 
 

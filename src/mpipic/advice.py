@@ -22,12 +22,16 @@ def node_bytes(scene: Scene) -> int:
     filtered = scene.filter.kind != "none"
     work = (1 + dim) + 1 + (dim if filtered else 0)
     moments = 3**dim if degree == 1 else 0
-    solver = 0
-    if scene.filter.kind == "exact" or scene.mapping.mass != "lumped":
-        # the stencil's entries, its vectors and PETSc's, and two earlier answers to each of 1 + d solves
-        solver = ((2 * degree + 1) ** dim + 1) // 2 + 10 + 2 * (1 + dim)
-    stages = 4 * 2 * (1 + dim) if scene.time.integrator == "rk4" else 0
-    return 8 * ((dim + 2) + 1 + moments + work + solver + stages)
+    stages = 4 if scene.time.integrator == "rk4" else 1
+    fields = scene.mapping.mass != "lumped"
+    at_stages = scene.filter.kind == "exact" and scene.mapping.gradient != "grid"
+    # the stencil by rows and by diagonals; of each column that is solved for its copies, PETSc's vectors and
+    # two earlier answers
+    half = ((2 * degree + 1) ** dim + 1) // 2
+    solvers = 2 if at_stages and scene.mapping.mass == "penalised" else int(fields or at_stages)
+    solver = solvers * (2 * half + 2 + 5 * (1 + dim)) + 2 * (1 + dim) * (int(fields) + stages * int(at_stages))
+    kept = stages * 2 * (1 + dim) if stages > 1 else 0
+    return 8 * ((dim + 2) + 1 + moments + work + solver + kept)
 
 
 def rank_bytes(scene: Scene, ranks: int, particles: int) -> float:

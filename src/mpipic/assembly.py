@@ -124,7 +124,7 @@ def _integrator(scene: Scene, symmetric: bool) -> Integrator:
     if scene.time.integrator == "midpoint":
         from mpipic.midpoint import Midpoint
 
-        return Midpoint(max(scene.filter.tolerance, 1e-12), symmetric)
+        return Midpoint(max(scene.filter.tolerance, 1e-14), symmetric)
     return INTEGRATORS[scene.time.integrator]
 
 
