@@ -102,7 +102,6 @@ class GramSolver:
         self._earlier: dict[Hashable, Series] = {}
         self._systems: dict[int, _System] = {}
         self._entries = PETSc.Options(prefix).getString("pc_type", "python") not in ENTRIES_NOT_NEEDED
-        self.system(1)
         close_at_exit(self)
 
     def close(self) -> None:
