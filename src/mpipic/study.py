@@ -104,9 +104,14 @@ def _open(folder: Path, fresh: bool) -> Records:
     except OSError as error:
         raise OutputError(f"output folder {folder} cannot be created: {error.strerror or error}") from None
     records = Records(folder, fresh)
-    for left in folder.glob(".run-*"):  # of a study that was killed
-        shutil.rmtree(left, ignore_errors=True)
+    _clear(folder)
     return records
+
+
+def _clear(folder: Path) -> None:
+    """Remove what runs were writing whose study was killed, or interrupted as it cleared up."""
+    for left in folder.glob(".run-*"):
+        shutil.rmtree(left, ignore_errors=True)
 
 
 # ------------------------------------------------------------ running
@@ -141,6 +146,7 @@ def _run_all(study: Study, folder: Path, records: Records, console: Console) -> 
                     failed.add(point.id)
                 console.message(f"[{number}/{len(due)}] {point.label}, run {repeat}: {_outcome(record, study)}")
     except KeyboardInterrupt:
+        _clear(folder)
         return False
     return True
 

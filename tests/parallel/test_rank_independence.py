@@ -135,7 +135,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, int], Re
             place.mkdir()
             mine = {case: overrides for case, (overrides, wanted) in cases.items() if ranks in wanted}
             (place / "cases.json").write_text(json.dumps(mine))
-            ended = run_ranks(ranks, HELPERS, str(place / "cases.json"), str(place), timeout=120)
+            ended = run_ranks(ranks, HELPERS, str(place / "cases.json"), str(place), timeout=280)
             assert ended.returncode == 0, ended.stdout + ended.stderr
         file = place / f"{name}.npz"
         assert file.exists(), f"the {ranks} ranks ended before this case: see the first test that failed"
