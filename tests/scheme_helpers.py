@@ -8,7 +8,7 @@ from itertools import combinations, product
 import numpy as np
 from mpi4py import MPI
 
-from covering import cover
+from covering_helpers import cover
 from mpipic.assembly import build_step, build_sweep
 from mpipic.grid import Grid
 from mpipic.halo import Halo

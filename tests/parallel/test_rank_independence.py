@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 
 import h5py
 import numpy as np
 import pytest
 
-from helpers import run_ranks
+from simulation_helpers import Result, simulated
 
-HELPERS = Path(__file__).with_name("simulate_helpers.py")
 TOLERANCE = 1e-11
 """Of the largest value: a hundred steps of sums in another order stay well below."""
 SOLVED = 1e-9
@@ -21,8 +18,6 @@ SOLVED = 1e-9
 by its residual, 1e-13, times what a nearly singular Gram matrix (few particles) makes of it."""
 
 pytestmark = pytest.mark.mpi
-
-Result = SimpleNamespace
 
 
 def moving(cells: list[int], flow: list[float], steps: int, layout: str, kind: str, *more: str) -> list[str]:
@@ -126,23 +121,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, int], Re
         write_cluster(file, count, box)
         source = ["particles.layout=file", f"particles.path={file}", "initial.profile=file", "filter.kind=local"]
         cases[name] = ([*source, *overrides, "time.dt=0.01", "time.steps=50", "time.blow_up=1e6"], (1, 2, 3, 4))
-    started: set[int] = set()
-
-    def result(name: str, ranks: int) -> Result:
-        place = folder / str(ranks)
-        if ranks not in started:
-            started.add(ranks)
-            place.mkdir()
-            mine = {case: overrides for case, (overrides, wanted) in cases.items() if ranks in wanted}
-            (place / "cases.json").write_text(json.dumps(mine))
-            ended = run_ranks(ranks, HELPERS, str(place / "cases.json"), str(place), timeout=280)
-            assert ended.returncode == 0, ended.stdout + ended.stderr
-        file = place / f"{name}.npz"
-        assert file.exists(), f"the {ranks} ranks ended before this case: see the first test that failed"
-        with np.load(file) as arrays:
-            return SimpleNamespace(**arrays)
-
-    return result
+    return simulated(folder, cases)
 
 
 def pairs(cases: dict[str, tuple[list[str], tuple[int, ...]]]) -> list[tuple[str, int]]:

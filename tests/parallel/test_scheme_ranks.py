@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
-from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from helpers import run_ranks
 from mpipic.presets import PRESETS
+from simulation_helpers import Result, simulated
 
-HELPERS = Path(__file__).with_name("simulate_helpers.py")
 TOLERANCE = 1e-9
 """Of the largest value: sums in another order may cost a solver an iteration more or less, which changes an answer by
 its residual, 1e-13, times what a Gram matrix of few particles makes of it."""
 
 pytestmark = pytest.mark.mpi
-
-Result = SimpleNamespace
 
 
 def overrides(cells: list[int], flow: list[float], steps: int, *more: str, cfl: float = 0.2) -> list[str]:
@@ -79,25 +73,8 @@ CASES: dict[str, tuple[list[str], tuple[int, ...]]] = {
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, int], Result]:
-    """Results by case and number of ranks; each number of ranks is started once, with all its cases."""
-    folder = tmp_path_factory.mktemp("schemes")
-    started: set[int] = set()
-
-    def result(name: str, ranks: int) -> Result:
-        place = folder / str(ranks)
-        if ranks not in started:
-            started.add(ranks)
-            place.mkdir()
-            mine = {case: given for case, (given, wanted) in CASES.items() if ranks in wanted}
-            (place / "cases.json").write_text(json.dumps(mine))
-            ended = run_ranks(ranks, HELPERS, str(place / "cases.json"), str(place), timeout=280)
-            assert ended.returncode == 0, ended.stdout + ended.stderr
-        file = place / f"{name}.npz"
-        assert file.exists(), f"the {ranks} ranks ended before this case: see the first test that failed"
-        with np.load(file) as arrays:
-            return SimpleNamespace(**arrays)
-
-    return result
+    """Of all cases."""
+    return simulated(tmp_path_factory.mktemp("schemes"), CASES)
 
 
 SEVERAL = [(name, ranks) for name, (_, wanted) in CASES.items() for ranks in wanted if ranks > 1]

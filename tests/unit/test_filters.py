@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from covering import covering
+from covering_helpers import covering
 from dense_helpers import GRIDS, PATTERNS, Dense, close, pattern
 from mpipic.filters import FILTERS, Filter, LocalFilter, NodalFilter
 from mpipic.mapping import Mapping

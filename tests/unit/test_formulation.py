@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from covering import covering
+from covering_helpers import covering
 from dense_helpers import Dense, close, pattern, run_euler
 from mpipic.filters import FILTERS
 from mpipic.formulation import OnParticles, ParticleEuler, Rates, SymplecticEuler, UnfilteredEuler, symplectic

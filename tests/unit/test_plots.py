@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from covering import covering
+from covering_helpers import covering
 from mpipic import plots
 from mpipic.plots import draw_error, draw_solution, gather_sample
 
