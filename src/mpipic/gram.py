@@ -88,9 +88,9 @@ class GramStencil:
         self.shape = grid.padded_shape
         half = stencil.half_stencil(grid.dim, degree)
         beyond = [[j * (a == axis) for a in range(3)] for axis in range(grid.dim) for j in range(1, self.reach + 1)]
-        self.neighbours = np.array([*half.tolist(), *(row for row in beyond if max(row) > degree)])
-        self.offsets = self.neighbours @ steps
-        number = {tuple(offset): h for h, offset in enumerate(self.neighbours.tolist())}
+        neighbours = np.array([*half.tolist(), *(row for row in beyond if max(row) > degree)])
+        self.offsets = neighbours @ steps
+        number = {tuple(offset): h for h, offset in enumerate(neighbours.tolist())}
         self._along = [
             [number[tuple(j * (a == axis) for a in range(3))] for j in range(1, self.reach + 1)]
             for axis in range(grid.dim)
