@@ -21,11 +21,11 @@ COMM = start()
 
 import numpy as np  # noqa: E402  after the settings that start() makes
 
-from mpipic.bench import Plan, scene_of  # noqa: E402
-from mpipic.mapping import Mapping  # noqa: E402
-from mpipic.scene import Scene  # noqa: E402
-from mpipic.simulation import Simulation  # noqa: E402
-from mpipic.warmup import compile_loops  # noqa: E402
+from mpipic.analysis.bench import Plan, scene_of  # noqa: E402
+from mpipic.mapping.mapping import Mapping  # noqa: E402
+from mpipic.run.loop import Simulation  # noqa: E402
+from mpipic.run.warmup import compile_loops  # noqa: E402
+from mpipic.scene.records import Scene  # noqa: E402
 
 WARM, LONGEST = 12, 60.0
 """Steps before the clock starts, so that particles have begun to cross cells; seconds that one case may take."""

@@ -7,7 +7,7 @@ For random and jittered (by up to 0.4 spacings) particles, and flows that move a
 step is q ← (1 - α) q + Φ (K + α) W q: W takes particles to nodes, K is the nodal step, α the damping of the null space.
 Here these are dense matrices in plain NumPy, so that the monodromy M costs a few products and all its eigenvalues are
 found. For one pattern of every group M is held to the steps of a run, and where there are few unknowns its growth to
-that of `mpipic.stability`.
+that of `mpipic.analysis.growth`.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ COMM = start()
 import numpy as np  # noqa: E402  after the settings that start() makes
 from numpy.typing import NDArray  # noqa: E402
 
-from mpipic.basis import DEGREES  # noqa: E402
-from mpipic.recurrence import find  # noqa: E402
-from mpipic.scene import Scene  # noqa: E402
-from mpipic.stability import Monodromy, analyse  # noqa: E402
+from mpipic.analysis.growth import Monodromy, analyse  # noqa: E402
+from mpipic.analysis.recurrence import find  # noqa: E402
+from mpipic.mesh.basis import DEGREES  # noqa: E402
+from mpipic.scene.records import Scene  # noqa: E402
 
 Matrix = NDArray[np.float64]
 CELLS = {1: 16, 2: 8, 3: 4}
@@ -60,7 +60,7 @@ SCHEMES = {
 MANY = 1000
 """Unknowns above which only the first three settings are taken."""
 FEW = 400
-"""Unknowns up to which `mpipic.stability` is asked too."""
+"""Unknowns up to which `mpipic.analysis.growth` is asked too."""
 
 
 # ---------------------------------------------------------------- the scheme as dense matrices; unit cells, c = ρ₀ = 1

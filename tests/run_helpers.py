@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from mpi4py import MPI
 
-from mpipic.scene import Scene
-from mpipic.simulation import Simulation
+from mpipic.run.loop import Simulation
+from mpipic.scene.records import Scene
 
 
 class Reports:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from mpipic.scene import Scene, SceneError
+from mpipic.scene.records import Scene, SceneError
 
 JARGON = ("pydantic", "input_value", "type=", "Traceback", "validation error", "None", "tuple", "dict", "Input should")
 

@@ -9,11 +9,11 @@ import numpy as np
 from mpi4py import MPI
 
 from covering_helpers import cover
-from mpipic.assembly import build_step, build_sweep
-from mpipic.grid import Grid
-from mpipic.halo import Halo
 from mpipic.kernels import stencil
-from mpipic.scene import Scene
+from mpipic.mesh.grid import Grid
+from mpipic.mesh.halo import Halo
+from mpipic.run.build import build_step, build_sweep
+from mpipic.scene.records import Scene
 from serial_helpers import by_id, particles_of
 from spline_helpers import Scheme
 

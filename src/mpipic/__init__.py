@@ -10,29 +10,29 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from mpipic.errors import NotConverged
-    from mpipic.filters import FILTERS, ChebyshevFilter, ExactFilter, LocalFilter, OrderFilter, SvdFilter
-    from mpipic.grid import Grid
-    from mpipic.mapping import Mapping
-    from mpipic.migration import Placement
-    from mpipic.scene import Scene, SceneError
-    from mpipic.simulation import Simulation
+    from mpipic.filters.family import FILTERS, ChebyshevFilter, ExactFilter, LocalFilter, OrderFilter, SvdFilter
+    from mpipic.mapping.mapping import Mapping
+    from mpipic.mesh.grid import Grid
+    from mpipic.particles.migration import Placement
+    from mpipic.run.loop import Simulation
+    from mpipic.scene.records import Scene, SceneError
 
 __version__ = "0.1.0"
 
 _HOMES = {
-    "FILTERS": "filters",
-    "ChebyshevFilter": "filters",
-    "ExactFilter": "filters",
-    "LocalFilter": "filters",
-    "OrderFilter": "filters",
-    "SvdFilter": "filters",
+    "FILTERS": "filters.family",
+    "ChebyshevFilter": "filters.family",
+    "ExactFilter": "filters.family",
+    "LocalFilter": "filters.family",
+    "OrderFilter": "filters.family",
+    "SvdFilter": "filters.family",
     "NotConverged": "errors",
-    "Grid": "grid",
-    "Mapping": "mapping",
-    "Placement": "migration",
-    "Scene": "scene",
-    "SceneError": "scene",
-    "Simulation": "simulation",
+    "Grid": "mesh.grid",
+    "Mapping": "mapping.mapping",
+    "Placement": "particles.migration",
+    "Scene": "scene.records",
+    "SceneError": "scene.records",
+    "Simulation": "run.loop",
 }
 
 __all__ = [

@@ -20,7 +20,7 @@ from mpipic.errors import NotConverged, Refused
 from mpipic.runtime import ANNOUNCED, launched_rank, start
 
 if TYPE_CHECKING:
-    from mpipic.scene import Scene
+    from mpipic.scene.records import Scene
 
 app = typer.Typer(
     help="Distributed particle-in-cell solver with null-space filters.",
@@ -46,7 +46,7 @@ BAD_INPUT, NOT_CONVERGED = 2, 4
 
 def _load(path: Path | None, overrides: list[str] | None, comm: Any, preset: str | None = None) -> Scene:
     """Read the scene on rank 0 and give it, or the refusal, to all."""
-    from mpipic.scene import Scene, SceneError
+    from mpipic.scene.records import Scene, SceneError
 
     scene: Scene | SceneError | None = None
     if comm.rank == 0:
@@ -66,8 +66,8 @@ def _check_particle_file(scene: Scene, comm: Any) -> None:
     """Raise SceneError on all ranks for a particle file that a run would refuse."""
     if scene.particles.layout != "file":
         return
-    from mpipic.particle_file import check_particle_file
-    from mpipic.scene import Problem, SceneError
+    from mpipic.io.particle_file import check_particle_file
+    from mpipic.scene.records import Problem, SceneError
 
     mine = check_particle_file(scene.particles.path, scene.dim, scene.grid.length) if comm.rank == 0 else None
     problems = comm.bcast(mine)
@@ -114,8 +114,8 @@ def run(
     comm = start()
     with _stating(comm):
         loaded = _load(scene, set_, comm, preset)
-        from mpipic import runner
         from mpipic.console import Console
+        from mpipic.run import verb as runner
 
         code = runner.run(loaded, comm, output, overwrite, Console(comm, quiet), plots)
     raise typer.Exit(code)
@@ -127,9 +127,9 @@ def check(scene: SceneFile = None, set_: Overrides = None, preset: Preset = None
     comm = start()
     with _stating(comm):
         loaded = _load(scene, set_, comm, preset)
-        from mpipic import advice
         from mpipic.console import Console
-        from mpipic.simulation import check_filter, solution_of
+        from mpipic.run import describe as advice
+        from mpipic.run.loop import check_filter, solution_of
 
         solution_of(loaded)
         _check_particle_file(loaded, comm)
@@ -158,10 +158,10 @@ def spectrum(
     comm = start()
     with _stating(comm):
         loaded = _load(scene, set_, comm)
-        from mpipic import spectrum as verb
+        from mpipic.analysis import spectrum as verb
+        from mpipic.analysis.filter_choice import choose
         from mpipic.console import Console
-        from mpipic.filter_choice import choose
-        from mpipic.output import RunDirectory
+        from mpipic.io.run_directory import RunDirectory
 
         choices = choose(names or (), loaded, loaded.particle_count or 0)
         folder = output or RunDirectory.default(f"{loaded.name}-spectrum", comm)
@@ -179,9 +179,9 @@ def filters(
     comm = start()
     with _stating(comm):
         loaded = _load(scene, set_, comm)
-        from mpipic import comparison
+        from mpipic.analysis import comparison
+        from mpipic.analysis.filter_choice import choose
         from mpipic.console import Console
-        from mpipic.filter_choice import choose
 
         choices = choose(names or (), loaded, loaded.particle_count or 0)
         comparison.run(loaded, choices, comm, Console(comm), output)
@@ -207,8 +207,8 @@ def study(
     here = SimpleNamespace(rank=launched_rank(), size=ranks)
     if ranks > 1:
         raise _refuse("a study runs on one process and starts the ranks of its points itself: leave out mpiexec", here)
-    from mpipic import study as verb
     from mpipic.console import Console
+    from mpipic.study import verb
 
     words = ["mpipic", "study", str(file), *(["--output", str(output)] if output else [])]
     words += [word for aim in aims or () for word in ("--recommend", aim)]
@@ -238,11 +238,11 @@ def stability(
     comm = start()
     with _stating(comm):
         loaded = _load(scene, set_, comm, preset)
-        from mpipic import stability as verb
-        from mpipic import stability_map
+        from mpipic.analysis import growth as verb
+        from mpipic.analysis import growth_map as stability_map
+        from mpipic.analysis.filter_choice import choose
         from mpipic.console import Console
-        from mpipic.filter_choice import choose
-        from mpipic.output import RunDirectory
+        from mpipic.io.run_directory import RunDirectory
 
         if maps:
             axes = [stability_map.parse_axis(text) for text in maps]
@@ -264,7 +264,7 @@ def stress(
 ) -> None:
     """Run stiff and extreme cases, and judge each: a right answer, a stated end, or a refusal with a reason."""
     comm = start()
-    from mpipic import stress as verb
+    from mpipic.analysis import trials as verb
     from mpipic.console import Console
 
     judged = verb.run(comm, Console(comm), output, short, only)
@@ -285,7 +285,7 @@ def bench(
 ) -> None:
     """Time steps against the memory bandwidth of this machine, measured in the same run."""
     comm = start()
-    from mpipic import bench as benchmark
+    from mpipic.analysis import bench as benchmark
     from mpipic.console import Console
 
     with _stating(comm):

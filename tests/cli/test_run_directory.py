@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from helpers import ROOT, mpipic, mpipic_here, start
-from mpipic.output import HISTORY_COLUMNS
+from mpipic.io.run_directory import HISTORY_COLUMNS
 
 PAPER = ROOT / "configs" / "paper.toml"
 # a scene in which particles change rank and every file is written

@@ -17,7 +17,7 @@ import h5py
 import pytest
 
 from helpers import ROOT, end, finish, start, start_ranks, wait_until
-from mpipic.output import HISTORY_COLUMNS
+from mpipic.io.run_directory import HISTORY_COLUMNS
 
 ENDLESS = [
     "--no-plots", "--set", "grid.cells=[20]", "--set", "gas.flow=[0.5]", "--set", "time.steps=10000000",

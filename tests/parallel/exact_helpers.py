@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from mpipic.filters import ExactFilter
-from mpipic.grid import Grid
-from mpipic.mapping import Mapping
+from mpipic.filters.family import ExactFilter
+from mpipic.mapping.mapping import Mapping
+from mpipic.mesh.grid import Grid
 from mpipic.runtime import start
 
 COMM = start()

@@ -8,9 +8,9 @@ import time
 import numpy as np
 
 from mpipic import cli
+from mpipic.run.loop import Simulation
 from mpipic.runtime import start
-from mpipic.scene import Scene
-from mpipic.simulation import Simulation
+from mpipic.scene.records import Scene
 
 SMALL = ["grid.cells=[20]", "gas.flow=[0.5]", "time.steps=1000000"]
 
@@ -35,7 +35,7 @@ def case_exception_in_run() -> None:
         if step == 50 and start().rank == 1:
             fail_deep_inside()
 
-    from mpipic.runner import Recorder
+    from mpipic.run.verb import Recorder
 
     Recorder.progress = failing_progress
     sys.argv = ["mpipic", "run", "--no-plots", "--output", sys.argv[2], *(f"--set={text}" for text in SMALL)]

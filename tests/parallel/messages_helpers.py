@@ -12,12 +12,12 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from mpipic.grid import Grid
-from mpipic.migration import LostParticles, Routes, migrate
-from mpipic.particles import Particles
+from mpipic.mesh.grid import Grid
+from mpipic.particles.migration import LostParticles, Routes, migrate
+from mpipic.particles.store import Particles
+from mpipic.run.loop import Simulation
 from mpipic.runtime import start
-from mpipic.scene import Scene
-from mpipic.simulation import Simulation
+from mpipic.scene.records import Scene
 
 COMM = start()
 

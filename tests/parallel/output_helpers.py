@@ -14,10 +14,11 @@ from unittest import mock
 import numpy as np
 from mpi4py import MPI
 
-from mpipic import hdf5, output
-from mpipic.output import OutputError, ParticleSeries, RunDirectory
-from mpipic.particle_file import ParticleFileError, read_particle_file
-from mpipic.plots import gather_sample
+from mpipic.io import hdf5
+from mpipic.io import run_directory as output
+from mpipic.io.particle_file import ParticleFileError, read_particle_file
+from mpipic.io.run_directory import OutputError, ParticleSeries, RunDirectory
+from mpipic.plots.pictures import gather_sample
 
 COMM = MPI.COMM_WORLD
 TOTAL = 2003

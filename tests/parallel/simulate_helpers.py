@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
+from mpipic.run.loop import Simulation
 from mpipic.runtime import start
-from mpipic.scene import Scene
-from mpipic.simulation import Simulation
+from mpipic.scene.records import Scene
 
 COMM = start()
 

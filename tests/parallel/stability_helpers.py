@@ -10,9 +10,9 @@ import sys
 from dataclasses import asdict
 from pathlib import Path
 
-from mpipic import stability
+from mpipic.analysis import growth as stability
 from mpipic.runtime import start
-from mpipic.scene import Scene
+from mpipic.scene.records import Scene
 
 COMM = start()
 DENSE = stability.DENSE

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from mpipic.presets import PRESETS
+from mpipic.scene.presets import PRESETS
 from simulation_helpers import Result, simulated
 
 TOLERANCE = 1e-9

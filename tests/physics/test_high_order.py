@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from helpers import ROOT
-from mpipic.scene import Scene
+from mpipic.scene.records import Scene
 from run_helpers import error_of, orders, run_scene, scene_of
 
 TIGHT = {"tolerance": 1e-12}

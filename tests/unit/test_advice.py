@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from mpipic import advice
-from mpipic.scene import Scene
-from mpipic.simulation import Simulation
+from mpipic.run import describe as advice
+from mpipic.run.loop import Simulation
+from mpipic.scene.records import Scene
 
 
 def scene_of(cells, kind):

@@ -7,9 +7,9 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from dense_helpers import Dense, close
-from mpipic.filters import FILTERS
-from mpipic.formulation import Rates, symplectic
-from mpipic.mapping import Mapping
+from mpipic.filters.family import FILTERS
+from mpipic.mapping.mapping import Mapping
+from mpipic.physics.acoustics.formulation import Rates, symplectic
 from serial_helpers import by_id, divergence_sums, ghosted, gradient_sums, gram_matrix, grid_of, on_nodes, sweep_of
 
 LENGTHS = (1.0, 0.3, 7.0, 1e-6, 1e6)

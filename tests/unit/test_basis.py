@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dense_helpers import close, pattern
-from mpipic.mapping import Mapping
+from mpipic.mapping.mapping import Mapping
 from serial_helpers import ghosted, grid_of, on_nodes
 
 BOXES = {1: ((7,), (1.3,)), 2: ((6, 5), (1.0, 2.5)), 3: ((4, 5, 6), (1.0, 0.8, 1.7))}

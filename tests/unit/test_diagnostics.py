@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from mpipic.diagnostics import measure, norms
+from mpipic.run.diagnostics import measure, norms
 from serial_helpers import grid_of, particles_of
 
 COMM = MPI.COMM_SELF

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mpipic import exact
-from mpipic.exact import PROFILES, CosineSeries, Gas, gaussian_waves, periodic_gaussian, solution
+from mpipic.physics.acoustics import solutions as exact
+from mpipic.physics.acoustics.solutions import PROFILES, CosineSeries, Gas, gaussian_waves, periodic_gaussian, solution
 
 LENGTH = (1.0, 1.5, 0.8)
 CENTER = (0.3, 0.9, 0.5)

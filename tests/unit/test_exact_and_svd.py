@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from dense_helpers import GRIDS, PATTERNS, Dense, close, pattern
-from mpipic.filters import ExactFilter, LocalFilter, OrderFilter, SvdFilter
-from mpipic.mapping import Mapping
+from mpipic.filters.family import ExactFilter, LocalFilter, OrderFilter, SvdFilter
+from mpipic.mapping.mapping import Mapping
 from serial_helpers import case, grid_of, make, on_nodes, values
 
 every_grid = pytest.mark.parametrize("box", GRIDS)

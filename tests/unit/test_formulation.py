@@ -10,9 +10,16 @@ import pytest
 
 from covering_helpers import covering
 from dense_helpers import Dense, close, pattern, run_euler
-from mpipic.filters import FILTERS
-from mpipic.formulation import OnParticles, ParticleEuler, Rates, SymplecticEuler, UnfilteredEuler, symplectic
-from mpipic.mapping import Mapping
+from mpipic.filters.family import FILTERS
+from mpipic.mapping.mapping import Mapping
+from mpipic.physics.acoustics.formulation import (
+    OnParticles,
+    ParticleEuler,
+    Rates,
+    SymplecticEuler,
+    UnfilteredEuler,
+    symplectic,
+)
 from serial_helpers import SETTINGS, allowed, by_id, grid_of, make, on_nodes, sweep_of
 
 # h is a power of two, and cells are not cubes: moves are exact in the reference too, and mixed-up axes show

@@ -5,10 +5,10 @@ import pytest
 from petsc4py import PETSc
 
 from dense_helpers import GRIDS, PATTERNS, Dense, close, pattern
-from mpipic.gram import GramStencil
-from mpipic.gram_solver import Series
-from mpipic.mapping import Mapping
-from mpipic.preconditioner import TensorPreconditioner, inverse_stencil
+from mpipic.mapping.gram import GramStencil
+from mpipic.mapping.mapping import Mapping
+from mpipic.mapping.preconditioner import TensorPreconditioner, inverse_stencil
+from mpipic.mapping.solver import Series
 from serial_helpers import case, ghosted, grid_of, on_nodes, values
 
 every_grid = pytest.mark.parametrize("box", GRIDS)

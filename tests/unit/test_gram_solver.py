@@ -6,9 +6,9 @@ from petsc4py import PETSc
 
 from dense_helpers import GRIDS, PATTERNS, Dense, close, pattern
 from mpipic.errors import NotConverged
-from mpipic.filters import ExactFilter
-from mpipic.gram_solver import GramSolver
-from mpipic.mapping import Mapping
+from mpipic.filters.family import ExactFilter
+from mpipic.mapping.mapping import Mapping
+from mpipic.mapping.solver import GramSolver
 from serial_helpers import case, ghosted, grid_of, on_nodes, values
 
 every_pattern = pytest.mark.parametrize("name", PATTERNS)

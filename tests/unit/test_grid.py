@@ -5,8 +5,8 @@ import pytest
 from mpi4py import MPI
 
 from dense_helpers import GRIDS, close
-from mpipic.grid import Grid
-from mpipic.particles import locate
+from mpipic.mesh.grid import Grid
+from mpipic.particles.store import locate
 from serial_helpers import ghosted, grid_of, on_nodes, sweep_of
 
 every_grid = pytest.mark.parametrize("box", GRIDS)

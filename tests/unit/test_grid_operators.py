@@ -8,9 +8,9 @@ import pytest
 from mpi4py import MPI
 
 from dense_helpers import GRIDS, close
-from mpipic import grid_operators
-from mpipic.grid import Grid
-from mpipic.grid_operators import CentralDifference, LowPass
+from mpipic.mesh import differences as grid_operators
+from mpipic.mesh.differences import CentralDifference, LowPass
+from mpipic.mesh.grid import Grid
 from serial_helpers import ghosted, on_nodes, values
 from spline_helpers import central_difference, difference_weights, low_pass
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from mpipic.grid import Grid
-from mpipic.halo import Halo, PaddedColumns
+from mpipic.mesh.grid import Grid
+from mpipic.mesh.halo import Halo, PaddedColumns
 
 CELLS = [(1,), (2,), (3,), (7,), (1, 1), (1, 2), (5, 2), (4, 6), (1, 2, 3), (2, 2, 2), (4, 3, 5)]
 every_block = pytest.mark.parametrize("cells", CELLS, ids=str)

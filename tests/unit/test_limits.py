@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from mpipic.limits import cfl_limit
-from mpipic.scene import Scene
-from mpipic.simulation import Simulation
+from mpipic.run.limits import cfl_limit
+from mpipic.run.loop import Simulation
+from mpipic.scene.records import Scene
 
 SCHEMES = {
     "none": ["filter.kind=none"],

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dense_helpers import GRIDS, PATTERNS, Dense, close, pattern
-from mpipic.mapping import Mapping
+from mpipic.mapping.mapping import Mapping
 from serial_helpers import EXACT, case, ghosted, grid_of, on_nodes, values
 
 every_grid = pytest.mark.parametrize("box", GRIDS)

@@ -11,7 +11,7 @@ from petsc4py import PETSc
 
 from dense_helpers import close, pattern
 from mpipic.errors import NotConverged
-from mpipic.formulation import OnParticles
+from mpipic.physics.acoustics.formulation import OnParticles
 from scheme_helpers import Run, label
 from spline_helpers import Gas, Scheme, Splines, run_steps, short_step
 

@@ -18,8 +18,9 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from mpipic import hdf5, openpmd, output
-from mpipic.output import OutputError, ParticleSeries, RunDirectory
+from mpipic.io import hdf5, openpmd
+from mpipic.io import run_directory as output
+from mpipic.io.run_directory import OutputError, ParticleSeries, RunDirectory
 
 COMM = MPI.COMM_SELF
 SCENE = SimpleNamespace(name="wave", to_toml=lambda: "[grid]\ncells = [4]\n")
@@ -170,7 +171,7 @@ def test_a_file_is_on_disk_before_it_gets_its_name(tmp_path: Path, monkeypatch: 
 
 def test_a_run_without_snapshots_never_imports_h5py() -> None:
     code = (
-        "import sys; import mpipic.output, mpipic.plots, mpipic.console;"
+        "import sys; import mpipic.io.run_directory, mpipic.plots.pictures, mpipic.console;"
         "print({'h5py', 'matplotlib', 'rich'}.intersection(sys.modules))"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "set()\n"

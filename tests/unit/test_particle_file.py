@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from mpipic import particle_file
-from mpipic.particle_file import ParticleFileError, check_particle_file, read_particle_file
+from mpipic.io import particle_file
+from mpipic.io.particle_file import ParticleFileError, check_particle_file, read_particle_file
 
 COMM = MPI.COMM_SELF
 N = 50

@@ -12,8 +12,8 @@ import pytest
 from mpi4py import MPI
 
 from covering_helpers import covering
-from mpipic import plots
-from mpipic.plots import draw_error, draw_solution, gather_sample
+from mpipic.plots import pictures as plots
+from mpipic.plots.pictures import draw_error, draw_solution, gather_sample
 
 COMM = MPI.COMM_SELF
 PNG = b"\x89PNG\r\n\x1a\n"

@@ -5,8 +5,8 @@ import copy
 import pytest
 
 from helpers import ROOT, mpipic
-from mpipic.presets import PRESETS, with_preset
-from mpipic.scene import CHOICES, Scene, SceneError
+from mpipic.scene.presets import PRESETS, with_preset
+from mpipic.scene.records import CHOICES, Scene, SceneError
 from scene_helpers import message, refused
 from scheme_helpers import PARTS, SCHEMES, label, scene_of_scheme
 from spline_helpers import Gas

@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from mpipic.scene import CHOICES, Scene, SceneError, available, process_grid
+from mpipic.scene.records import CHOICES, Scene, SceneError, available, process_grid
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIGS = sorted((ROOT / "configs").glob("*.toml"))
@@ -189,7 +189,7 @@ def test_the_paper_scenes_differ_from_the_defaults_only_in_what_their_names_say(
 
 def test_reading_a_scene_imports_no_mpi_no_petsc_no_hdf5_and_no_numba():
     code = (
-        "import sys; from mpipic.scene import Scene; Scene.load(None).to_toml();"
+        "import sys; from mpipic.scene.records import Scene; Scene.load(None).to_toml();"
         "heavy = ('mpi4py', 'petsc4py', 'slepc4py', 'h5py', 'numba', 'numpy', 'matplotlib');"
         "print([name for name in heavy if name in sys.modules])"
     )

@@ -2,8 +2,8 @@
 
 import pytest
 
-from mpipic.scene import CHOICES, FIXED_FOR_NOW, USED_WITH, Problem, Scene, SceneError, available
-from mpipic.scene_text import closest
+from mpipic.scene.records import CHOICES, FIXED_FOR_NOW, USED_WITH, Problem, Scene, SceneError, available
+from mpipic.scene.text import closest
 from scene_helpers import message, refused
 
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from mpipic.scene import CHOICES, Scene, SceneError
+from mpipic.scene.records import CHOICES, Scene, SceneError
 from scene_helpers import message, refused
 
 

@@ -10,16 +10,16 @@ import pytest
 from mpi4py import MPI
 
 from dense_helpers import close, pattern
-from mpipic.filters import FILTERS
-from mpipic.formulation import OnParticles, SymplecticEuler, UnfilteredEuler
-from mpipic.grid import Grid
-from mpipic.grid_operators import CentralDifference, LowPass
-from mpipic.integrators import INTEGRATORS
-from mpipic.mapping import Mapping
-from mpipic.mass import LeastSquaresMass, LumpedMass
-from mpipic.midpoint import Midpoint
-from mpipic.schemes import Damping, NodalScheme, PlainScheme
-from mpipic.schemes import Gas as Factors
+from mpipic.filters.family import FILTERS
+from mpipic.mapping.mapping import Mapping
+from mpipic.mapping.mass import LeastSquaresMass, LumpedMass
+from mpipic.mesh.differences import CentralDifference, LowPass
+from mpipic.mesh.grid import Grid
+from mpipic.physics.acoustics.formulation import OnParticles, SymplecticEuler, UnfilteredEuler
+from mpipic.physics.acoustics.integrators import INTEGRATORS
+from mpipic.physics.acoustics.midpoint import Midpoint
+from mpipic.physics.acoustics.schemes import Damping, NodalScheme, PlainScheme
+from mpipic.physics.acoustics.schemes import Gas as Factors
 from scheme_helpers import SCHEMES, TIGHT, Run, covering, label
 from spline_helpers import Gas, Scheme, Splines, particle_step, run_steps, short_step
 

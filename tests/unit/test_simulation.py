@@ -6,8 +6,8 @@ import pytest
 from mpi4py import MPI
 
 from dense_helpers import Dense, close
-from mpipic.scene import SceneError
-from mpipic.simulation import Simulation
+from mpipic.run.loop import Simulation
+from mpipic.scene.records import SceneError
 from run_helpers import Reports, run_scene, scene_of
 from serial_helpers import by_id
 

@@ -9,10 +9,10 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from dense_helpers import GRIDS, PATTERNS, Dense, close, pattern
-from mpipic import singular
-from mpipic.filters import ExactFilter, SvdFilter
-from mpipic.mapping import Mapping
-from mpipic.singular import RowSpace, TooLarge, available_bytes, bytes_needed, check_memory, describe
+from mpipic.filters import row_space as singular
+from mpipic.filters.family import ExactFilter, SvdFilter
+from mpipic.filters.row_space import RowSpace, TooLarge, available_bytes, bytes_needed, check_memory, describe
+from mpipic.mapping.mapping import Mapping
 from serial_helpers import grid_of, values
 
 every_grid = pytest.mark.parametrize("box", GRIDS)
@@ -171,11 +171,11 @@ PROGRAM = """
 import sys
 import numpy as np
 from mpi4py import MPI
-from mpipic.filters import FILTERS, ExactFilter, LocalFilter
-from mpipic.grid import Grid
-from mpipic.mapping import Mapping
+from mpipic.filters.family import FILTERS, ExactFilter, LocalFilter
+from mpipic.mesh.grid import Grid
+from mpipic.mapping.mapping import Mapping
 mapping = Mapping(Grid((4,), (1.0,), MPI.COMM_SELF), np.linspace(0.05, 0.95, 9)[:, None])
-assert "mpipic.gram" not in sys.modules and "mpipic.singular" not in sys.modules
+assert "mpipic.mapping.gram" not in sys.modules and "mpipic.filters.row_space" not in sys.modules
 assert LocalFilter(mapping).apply(np.ones(9)).shape == ExactFilter(mapping).apply(np.ones(9)).shape
 svd = FILTERS["svd"](mapping)
 print(sorted(name for name in sys.modules if name.startswith("slepc4py")))

@@ -5,9 +5,9 @@ import pytest
 from mpi4py import MPI
 
 from dense_helpers import close, pattern
-from mpipic import sweep as sweeps
-from mpipic.grid import Grid
-from mpipic.sweep import SplineSweep, Sweep
+from mpipic.mapping import sweep as sweeps
+from mpipic.mapping.sweep import SplineSweep, Sweep
+from mpipic.mesh.grid import Grid
 from scheme_helpers import matrix_of
 from serial_helpers import by_id, divergence_sums, ghosted, gradient_sums, gram_matrix, on_nodes, particles_of, values
 from spline_helpers import DEGREES, Splines

@@ -9,9 +9,9 @@ import pytest
 from mpi4py import MPI
 
 from dense_helpers import GRIDS, close, pattern
-from mpipic.grid import Grid
 from mpipic.kernels import spline
-from mpipic.mapping import Mapping
+from mpipic.mapping.mapping import Mapping
+from mpipic.mesh.grid import Grid
 from scheme_helpers import matrix_of
 from serial_helpers import ghosted, on_nodes, values
 from spline_helpers import DEGREES, Splines, cardinal, cardinal_slope

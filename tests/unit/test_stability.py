@@ -8,12 +8,12 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from dense_helpers import Dense, close
-from mpipic import stability
-from mpipic.limits import cfl_limit
-from mpipic.recurrence import Recurrence, find, nearest_flows
-from mpipic.scene import Scene, SceneError
-from mpipic.stability import Monodromy, analyse
-from mpipic.stability_map import parse_axis, with_flow, with_value
+from mpipic.analysis import growth as stability
+from mpipic.analysis.growth import Monodromy, analyse
+from mpipic.analysis.growth_map import parse_axis, with_flow, with_value
+from mpipic.analysis.recurrence import Recurrence, find, nearest_flows
+from mpipic.run.limits import cfl_limit
+from mpipic.scene.records import Scene, SceneError
 
 COMM = MPI.COMM_SELF
 

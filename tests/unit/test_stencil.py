@@ -8,9 +8,9 @@ import pytest
 from mpi4py import MPI
 
 from dense_helpers import GRIDS, PATTERNS, close, pattern
-from mpipic.halo import Halo
 from mpipic.kernels import stencil
-from mpipic.mapping import Mapping
+from mpipic.mapping.mapping import Mapping
+from mpipic.mesh.halo import Halo
 from serial_helpers import grid_of, sweep_of
 
 every_grid = pytest.mark.parametrize("box", GRIDS)

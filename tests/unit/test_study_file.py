@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mpipic.scene import Scene, SceneError
-from mpipic.study_file import Study, load
-from mpipic.study_points import differing, fit_steps, words
+from mpipic.scene.records import Scene, SceneError
+from mpipic.study.file import Study, load
+from mpipic.study.points import differing, fit_steps, words
 
 AXES = """
 until = 0.5

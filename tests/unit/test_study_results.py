@@ -13,13 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mpipic import report
-from mpipic.pareto import cheapest, fit_order, front, most_accurate
-from mpipic.plots import draw_work_precision
-from mpipic.scene import SceneError
-from mpipic.study import parse_aims, recommend
-from mpipic.study_file import Study, load
-from mpipic.study_results import content, floor, marks, orders, sum_up, write_csv, write_json
+from mpipic.plots.pictures import draw_work_precision
+from mpipic.scene.records import SceneError
+from mpipic.study.file import Study, load
+from mpipic.study.pareto import cheapest, fit_order, front, most_accurate
+from mpipic.study.results import content, floor, marks, orders, sum_up, write_csv, write_json
+from mpipic.study.verb import parse_aims, recommend, report
 
 NASTY = '<script>alert("1")</script> & $x^$ \\"'
 

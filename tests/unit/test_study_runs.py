@@ -12,11 +12,11 @@ from typing import Any
 
 import pytest
 
-from mpipic import study_runs
-from mpipic.output import OutputError
-from mpipic.study import outstanding
-from mpipic.study_file import Study, load
-from mpipic.study_runs import Records, command, environment, launch, run_once, scene_file, write_scenes
+from mpipic.io.run_directory import OutputError
+from mpipic.study import runs as study_runs
+from mpipic.study.file import Study, load
+from mpipic.study.runs import Records, command, environment, launch, run_once, scene_file, write_scenes
+from mpipic.study.verb import outstanding
 
 
 @pytest.fixture
@@ -166,7 +166,7 @@ def test_two_studies_do_not_write_to_one_folder(tmp_path: Path) -> None:
 
 
 def test_scene_files_run_the_point_again(study: Study, tmp_path: Path) -> None:
-    from mpipic.scene import Scene
+    from mpipic.scene.records import Scene
 
     write_scenes(tmp_path, study.points)
     for point in study.points:

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from dense_helpers import GRIDS, PATTERNS, Dense, close, pattern
-from mpipic.mapping import Mapping
-from mpipic.sweep import Sweep
+from mpipic.mapping.mapping import Mapping
+from mpipic.mapping.sweep import Sweep
 from serial_helpers import (
     EXACT,
     by_id,

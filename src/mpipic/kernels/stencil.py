@@ -2,7 +2,7 @@
 
 G is symmetric, so of its (2 k + 1)^d diagonals on splines of degree k those with a positive offset and the main one are
 kept. They are added up and exchanged row by row, entries[n, h] (a particle touches few rows), and applied diagonal by
-diagonal, diagonals[h, n]: both couple node n to node n + offsets[h]. Arrays are padded (see `mpipic.halo`) but where
+diagonal, diagonals[h, n]: both couple node n to node n + offsets[h]. Arrays are padded (see `mesh.halo`) but where
 compact is said: own nodes only. `layout` is the padded arrays', `shape` the own nodes per axis. Inner loops run along
 x, over contiguous memory.
 """

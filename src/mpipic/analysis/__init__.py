@@ -1,0 +1,1 @@
+"""What a scheme does, in numbers: growth, spectra, costs, trials."""

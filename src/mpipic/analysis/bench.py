@@ -1,0 +1,202 @@
+"""The verb `bench`: particle-steps per second, and what share of the memory bandwidth limit they are.
+
+A step that read and wrote every particle as seldom as four fused sweeps allow would move 40 d + 16 bytes a particle
+(56, 96, 136 in 1D, 2D, 3D); the limit is that many bytes at the speed of the STREAM triad, measured here on the same
+ranks between the same samples. `Sweep` touches particles once, 32 d + 16 bytes, so a share of 1 is no upper bound.
+"""
+
+from __future__ import annotations
+
+import json
+import statistics
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from mpipic.console import Console
+from mpipic.io.run_directory import plain, replacing
+from mpipic.kernels.common import hot
+from mpipic.phases import Phases
+from mpipic.run.loop import Simulation
+from mpipic.run.verb import STEP_PHASES, versions
+from mpipic.run.warmup import compile_loops
+from mpipic.scene.records import Scene
+
+TRIAD_DOUBLES = 20_000_000
+WARM_STEPS = 2
+FLOW, CFL = 0.05, 0.1
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What to time: every dimension with every filter, about `particles` particles in all, `per_cell` to a cell."""
+
+    dims: tuple[int, ...]
+    particles: int
+    per_cell: int
+    kinds: tuple[str, ...]
+    layout: str
+    steps: int
+    repeats: int
+    tolerance: float
+
+
+@dataclass(frozen=True)
+class Timing:
+    """One row: medians over the samples, and the spread of what is quoted."""
+
+    dim: int
+    filter: str
+    layout: str
+    ranks: int
+    particles: int
+    cells: tuple[int, ...]
+    setup_seconds: float
+    ns_per_particle_step: float
+    spread: tuple[float, float]
+    particle_steps_per_second: float
+    triad_gigabytes_per_second: float
+    share: float
+    bytes_per_particle: float
+    phases: dict[str, float]
+
+
+@hot
+def _triad(a: Any, b: Any, c: Any, scale: float) -> None:
+    for i in range(a.size):
+        a[i] = b[i] + scale * c[i]
+
+
+class Triad:
+    """STREAM's triad, a = b + s c, 24 bytes an element, on all ranks at once."""
+
+    def __init__(self, comm: MPI.Comm) -> None:
+        self.comm = comm
+        self._arrays = [np.ones(TRIAD_DOUBLES) for _ in range(3)]
+        _triad(*self._arrays, 3.0)
+
+    def bandwidth(self) -> float:
+        """Bytes per second of all ranks together, the best of three. Collective."""
+        best = np.inf
+        for _ in range(3):
+            self.comm.Barrier()
+            began = perf_counter()
+            _triad(*self._arrays, 3.0)
+            best = min(best, perf_counter() - began)
+        return 24.0 * TRIAD_DOUBLES * self.comm.size / float(self.comm.allreduce(best, op=MPI.MAX))
+
+
+def scene_of(dim: int, kind: str, plan: Plan) -> Scene:
+    """A box of about the planned number of particles: cubic, flow along every axis, a plane wave."""
+    per_axis = _per_axis(dim, plan.per_cell)
+    per_cell = [plan.per_cell] if plan.layout == "random" else per_axis
+    side = max(2, round((plan.particles / float(np.prod(per_axis))) ** (1.0 / dim)))
+    particles: dict[str, Any] = {"layout": plan.layout, "per_cell": per_cell}
+    if plan.layout == "jittered":
+        particles["jitter"] = 0.4
+    return Scene.from_dict(
+        {
+            "grid": {"cells": [side] * dim},
+            "particles": particles,
+            "gas": {"flow": [FLOW] * dim},
+            "initial": {"profile": "plane-wave"},
+            "filter": {"kind": kind, **({"tolerance": plan.tolerance} if kind == "exact" else {})},
+            "time": {"cfl": CFL, "steps": WARM_STEPS + plan.steps * plan.repeats},
+        },
+        name="bench",
+    )
+
+
+def _per_axis(dim: int, per_cell: int) -> list[int]:
+    """Factors of `per_cell`, one per axis, as even as whole numbers allow, the largest first."""
+    factors = [1] * dim
+    rest, prime = per_cell, 2
+    while rest > 1:
+        while rest % prime:
+            prime += 1
+        factors[int(np.argmin(factors))] *= prime
+        rest //= prime
+    return sorted(factors, reverse=True)
+
+
+def time_steps(dim: int, kind: str, plan: Plan, comm: MPI.Comm, triad: Triad) -> Timing:
+    """Time one case. Collective."""
+    scene = scene_of(dim, kind, plan)
+    compile_loops(scene)
+    began = perf_counter()
+    simulation = Simulation(scene, comm)
+    setup = perf_counter() - began
+    for _ in range(WARM_STEPS):
+        simulation.formulation.step()
+    simulation.phases.seconds.clear()
+    seconds, triads = [], []
+    for _ in range(plan.repeats):
+        triads.append(triad.bandwidth())
+        comm.Barrier()
+        began = perf_counter()
+        for _ in range(plan.steps):
+            simulation.formulation.step()
+        comm.Barrier()
+        seconds.append((perf_counter() - began) / plan.steps / simulation.total)
+    simulation.close()
+    shares = [(40 * dim + 16) / (s * t) for s, t in zip(seconds, triads, strict=True)]
+    spent = statistics.median(seconds)
+    return Timing(
+        dim=dim,
+        filter=kind,
+        layout=plan.layout,
+        ranks=comm.size,
+        particles=simulation.total,
+        cells=scene.grid.cells,
+        setup_seconds=setup,
+        ns_per_particle_step=1e9 * spent,
+        spread=(1e9 * min(seconds), 1e9 * max(seconds)),
+        particle_steps_per_second=1.0 / spent,
+        triad_gigabytes_per_second=1e-9 * statistics.median(triads),
+        share=statistics.median(shares),
+        bytes_per_particle=simulation.resident_bytes() / max(1, simulation.particles.count),
+        phases=_share_of_phases(simulation.phases),
+    )
+
+
+def _share_of_phases(phases: Phases) -> dict[str, float]:
+    phases("other")
+    total = phases.total(*STEP_PHASES) or 1.0
+    return {name: phases.seconds[name] / total for name in STEP_PHASES if name in phases.seconds}
+
+
+def run(plan: Plan, comm: MPI.Comm, console: Console, output: Path | None = None) -> list[Timing]:
+    """Time every case of the plan, print the table, write it as JSON if asked. Collective."""
+    triad = Triad(comm)
+    timings = [time_steps(dim, kind, plan, comm, triad) for dim in plan.dims for kind in plan.kinds]
+    console.table("speed, per particle and step", SPEED, [_speed(timing) for timing in timings])
+    console.table("set-up, memory, and where a step's time goes", COST, [_cost(timing) for timing in timings])
+    if output is not None and comm.rank == 0:
+        content = {"plan": asdict(plan), "timings": [asdict(timing) for timing in timings], "versions": versions()}
+        with replacing(output) as temporary:
+            temporary.write_text(json.dumps(plain(content), indent=2) + "\n")
+    return timings
+
+
+SPEED = ("d", "filter", "ranks", "particles", "ns/step", "from..to", "10^6 steps/s", "triad GB/s", "share")
+COST = ("d", "filter", "set-up s", "bytes a particle", "phases")
+
+
+def _speed(timing: Timing) -> Sequence[str]:
+    return (
+        str(timing.dim), timing.filter, str(timing.ranks), f"{timing.particles:.3g}",
+        f"{timing.ns_per_particle_step:.2f}", f"{timing.spread[0]:.2f}..{timing.spread[1]:.2f}",
+        f"{1e-6 * timing.particle_steps_per_second:.1f}", f"{timing.triad_gigabytes_per_second:.1f}",
+        f"{timing.share:.3f}",
+    )  # fmt: skip
+
+
+def _cost(timing: Timing) -> Sequence[str]:
+    phases = ", ".join(f"{name} {100 * share:.0f} %" for name, share in timing.phases.items() if share >= 0.005)
+    setup, size = f"{timing.setup_seconds:.2f}", f"{timing.bytes_per_particle:.0f}"
+    return (str(timing.dim), timing.filter, setup, size, phases)

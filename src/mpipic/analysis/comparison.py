@@ -1,0 +1,202 @@
+"""The verb `filters`: every filter on the scene's particles, side by side: cost, and distance from the projection."""
+
+from __future__ import annotations
+
+import json
+import statistics
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from mpipic.analysis.filter_choice import Choice, svd_is_quick
+from mpipic.console import Console
+from mpipic.filters import family as filters
+from mpipic.io.run_directory import plain, replacing
+from mpipic.mapping.mapping import Mapping
+from mpipic.mesh.grid import FloatArray, Grid
+from mpipic.particles.store import IntArray
+from mpipic.run.loop import check_filter, populate, solution_of
+from mpipic.run.verb import versions
+from mpipic.scene.records import Scene
+
+REFERENCE_TOLERANCE = 1e-13
+LONGEST, MOST = 1.0, 25
+"""Seconds and number of applications that a timing takes at most (but at least three)."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One filter on white noise q.
+
+    Attributes
+    ----------
+    setup_seconds
+        Of what positions determine, paid again whenever particles move: the first application less a usual one.
+    seconds, spread
+        Of one application: median, and fastest and slowest.
+    messages, reductions
+        Of one application, on all ranks together; nothing is sent on one rank.
+    distance
+        ‖F q - P q‖ / ‖q‖, P the reference.
+    null_space_share
+        ‖(1 - P) F q‖ / ‖F q‖.
+    sum_error
+        |Σ F q - Σ q| / Σ |q|.
+    facts
+        What the filter says about itself: iterations, rank and gap.
+    """
+
+    filter: str
+    kind: str
+    order: int | None
+    setup_seconds: float
+    seconds: float
+    spread: tuple[float, float]
+    messages: int
+    reductions: int
+    distance: float
+    null_space_share: float
+    sum_error: float
+    facts: dict[str, Any] = field(default_factory=dict)
+
+
+def noise(ids: IntArray) -> FloatArray:
+    """White noise, uniform in [-1, 1), by particle id: the same on any number of ranks (SplitMix64). Local."""
+    z = ids.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(0x9E3779B97F4A7C15)
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    z = z ^ (z >> np.uint64(31))
+    return np.asarray((z >> np.uint64(11)).astype(np.float64) * 2.0**-52 - 1.0)
+
+
+class Comparison:
+    """The scene's particles at t = 0, a noise on them, and what the reference makes of it. Collective."""
+
+    def __init__(self, scene: Scene, comm: MPI.Comm) -> None:
+        self.scene, self.comm = scene, comm
+        self.grid = Grid(scene.grid.cells, scene.grid.length, comm, scene.mapping.basis)
+        self.particles = populate(scene, self.grid, solution_of(scene))
+        self.total = int(comm.allreduce(self.particles.count))
+        self.mapping = Mapping.at(self.grid, self.particles)
+        self.q = noise(self.particles.ids)
+        self.reference = "svd" if svd_is_quick(scene.cell_count, self.total) else "exact"
+        self._projector: filters.Filter = (
+            filters.SvdFilter(self.mapping)
+            if self.reference == "svd"
+            else filters.ExactFilter(self.mapping, REFERENCE_TOLERANCE)
+        )
+        self.projected = self._projector.apply(self.q)
+
+    def norm(self, q: FloatArray) -> float:
+        """Euclidean norm over all ranks. Collective."""
+        return float(np.sqrt(self.comm.allreduce(float(q @ q))))
+
+    @property
+    def unfiltered_share(self) -> float:
+        """‖(1 - P) q‖ / ‖q‖ of the noise itself. Collective."""
+        return self.norm(self.q - self.projected) / self.norm(self.q)
+
+    def row(self, choice: Choice) -> Row:
+        """Apply the filter, and say what it costs and does. Collective."""
+        settings = choice.settings
+        if settings.kind == "svd":
+            check_filter(self.scene, self.total, self.comm, "svd")
+        filter_ = filters.create(settings.kind, self.mapping, settings)
+        first = self._seconds(filter_)
+        times = [self._seconds(filter_)]
+        while len(times) < 3 or (sum(times) < LONGEST and len(times) < MOST):
+            times.append(self._seconds(filter_))
+        messages, reductions = self._traffic(filter_)
+        filtered = filter_.apply(self.q)
+        size, kept = self.norm(self.q), self.norm(filtered)
+        sums = self.grid.reduce(np.array([filtered.sum(), self.q.sum(), np.abs(self.q).sum()]))
+        return Row(
+            filter=choice.label,
+            kind=settings.kind,
+            order=settings.order if "order" in filters.FILTERS[settings.kind].settings else None,
+            setup_seconds=max(0.0, first - statistics.median(times)),
+            seconds=statistics.median(times),
+            spread=(min(times), max(times)),
+            messages=messages,
+            reductions=reductions,
+            distance=self.norm(filtered - self.projected) / size,
+            null_space_share=self.norm(filtered - self._projector.apply(filtered)) / kept if kept else 0.0,
+            sum_error=float(abs(sums[0] - sums[1]) / sums[2]),
+            facts=filter_.facts(),
+        )
+
+    def _seconds(self, filter_: filters.Filter) -> float:
+        """Of one application, the slowest rank's, which all ranks agree on. Collective."""
+        self.comm.Barrier()
+        began = perf_counter()
+        filter_.apply(self.q)
+        return float(self.comm.allreduce(perf_counter() - began, op=MPI.MAX))
+
+    def _traffic(self, filter_: filters.Filter) -> tuple[int, int]:
+        """Messages of all ranks, and reductions, of one application, as PETSc's log and the grid count them."""
+        PETSc.Log.begin()
+        event = PETSc.Log.Event("filter application")
+        before, counted = self.grid.reductions, event.getPerfInfo()
+        event.begin()
+        filter_.apply(self.q)
+        event.end()
+        after = event.getPerfInfo()
+        messages = self.comm.allreduce(after["numMessages"] - counted["numMessages"])
+        reductions = after["numReductions"] - counted["numReductions"] + self.grid.reductions - before
+        return int(messages), int(reductions) if self.comm.size > 1 else 0
+
+
+def run(scene: Scene, choices: Sequence[Choice], comm: MPI.Comm, console: Console, output: Path | None) -> list[Row]:
+    """Print one table, and write it as JSON if asked. Collective."""
+    comparison = Comparison(scene, comm)
+    rows = [comparison.row(choice) for choice in choices]
+    share = comparison.unfiltered_share
+    console.message(
+        f"{comparison.total:,} particles, {comparison.grid.node_count:,} nodes, {comm.size} "
+        f"rank{'s' if comm.size > 1 else ''}; white noise of which {100 * share:.1f} % is in the null space; "
+        f"distances from {comparison.reference}"
+    )
+    console.table("filters on this scene's particles, one application", HEADER, [_cells(row) for row in rows])
+    for note in filter(None, map(_note, rows)):
+        console.message(note)
+    if output is not None and comm.rank == 0:
+        content = {
+            "scene": scene.to_dict(),
+            "ranks": comm.size,
+            "particles": comparison.total,
+            "nodes": comparison.grid.node_count,
+            "reference": comparison.reference,
+            "unfiltered_null_space_share": share,
+            "filters": [asdict(row) for row in rows],
+            "versions": versions(),
+        }
+        with replacing(output) as temporary:
+            temporary.write_text(json.dumps(plain(content), indent=2) + "\n")
+    return rows
+
+
+HEADER = ("filter", "set-up s", "s", "messages", "reductions", "distance", "null space left", "sum error")
+
+
+def _cells(row: Row) -> list[str]:
+    return [
+        row.filter, f"{row.setup_seconds:.2g}", f"{row.seconds:.2e}", str(row.messages), str(row.reductions),
+        f"{row.distance:.2e}", f"{row.null_space_share:.0e}", f"{row.sum_error:.0e}",
+    ]  # fmt: skip
+
+
+def _note(row: Row) -> str | None:
+    """What the filter says about itself, in words."""
+    if row.kind == "exact":
+        return f"exact: {row.facts['iterations']} iterations to a residual of {row.facts['tolerance']:g}"
+    if row.kind == "svd":
+        from mpipic.filters.row_space import describe
+
+        return f"svd by {row.facts['solver']}: {describe(row.facts)}"
+    return None

@@ -1,0 +1,143 @@
+"""Stability maps: growth per step over two keys of a scene, one panel for each filter."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from mpipic.analysis.filter_choice import Choice
+from mpipic.analysis.growth import analyse
+from mpipic.analysis.recurrence import nearest_flows
+from mpipic.console import Console
+from mpipic.errors import NotConverged
+from mpipic.io.run_directory import replacing
+from mpipic.scene.records import Problem, Scene, SceneError
+
+BORDER = 1e-6
+"""Growth per step that the line in the picture stands for."""
+COLUMNS = ("filter", "x", "y", "flow", "growth_per_step", "period_steps", "blow_up_step", "status")
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A dotted key and the values that it takes."""
+
+    key: str
+    values: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Point:
+    """One point of a map: growth is None where `status` says why there is none."""
+
+    filter: str
+    x: float
+    y: float
+    flow: tuple[float, ...]
+    growth: float | None
+    period: int | None
+    blow_up: float | None
+    status: str
+
+
+def parse_axis(text: str) -> Axis:
+    """KEY=a:b:n, n values evenly from a to b; raises SceneError."""
+    key, equals, span = text.partition("=")
+    try:
+        first, last, count = span.split(":")
+        values = np.linspace(float(first), float(last), int(count))
+        if not equals or int(count) < 1 or not np.isfinite(values).all():
+            raise ValueError
+    except ValueError:
+        rule = "must read KEY=FROM:TO:COUNT with two numbers and a whole number above 0, like gas.flow=0:0.5:6"
+        raise SceneError([Problem("--map", text, rule)]) from None
+    return Axis(key, tuple(round(float(value), 12) for value in values))
+
+
+def with_value(scene: Scene, key: str, value: float) -> Scene:
+    """The scene with another value; of a list with one entry per axis, the first is changed."""
+    data = scene.to_dict()
+    section, _, name = key.partition(".")
+    if key == "time.cfl":
+        data["time"].pop("dt", None)
+    if key == "time.dt":
+        data["time"].pop("cfl", None)
+    present = data.get(section, {}).get(name)
+    whole = isinstance(present, int) or (isinstance(present, list) and isinstance(present[0], int))
+    number = round(value) if whole else value
+    data.setdefault(section, {})[name] = [number, *present[1:]] if isinstance(present, list) else number
+    return Scene.from_dict(data, name=scene.name)
+
+
+def with_flow(scene: Scene, most: int) -> Scene:
+    """The scene with the nearest flow that recurs within `most` steps."""
+    flow = nearest_flows(scene, most)[0]
+    data = scene.to_dict()
+    data["gas"]["flow"] = list(flow)
+    return Scene.from_dict(data, name=scene.name)
+
+
+def points(scene: Scene, axes: Sequence[Axis], choices: Sequence[Choice], comm: MPI.Comm, most: int) -> Iterator[Point]:
+    """Every point, filter by filter; flows are rounded to the nearest that recur within `most` steps. Collective."""
+    for choice in choices:
+        for x, y in product(axes[0].values, axes[1].values):
+            placed = with_value(with_value(scene, axes[0].key, x), axes[1].key, y)
+            data = placed.to_dict()
+            data["filter"] = choice.settings.model_dump()
+            rounded = with_flow(Scene.from_dict(data, name=scene.name), most)
+            flow = tuple(rounded.gas.flow)
+            try:
+                growth = analyse(rounded, comm, most)
+            except NotConverged as error:
+                yield Point(choice.label, x, y, flow, None, None, None, f"not converged: {error}")
+                continue
+            yield Point(
+                choice.label, x, y, flow, growth.growth_per_step, growth.period_steps, growth.blow_up_step, "found"
+            )
+
+
+def run(
+    scene: Scene,
+    axes: Sequence[Axis],
+    choices: Sequence[Choice],
+    comm: MPI.Comm,
+    console: Console,
+    output: Path,
+    most: int,
+) -> list[Point]:
+    """Compute the map; write stability-map.csv and stability-map.png into `output`. Collective."""
+    if len(axes) != 2:
+        raise SceneError([Problem("--map", None, f"a map needs two keys; {len(axes)} given")])
+    found = []
+    for point in points(scene, axes, choices, comm, most):
+        found.append(point)
+        value = point.status if point.growth is None else f"{point.growth:.3e}"
+        console.message(f"{point.filter}: {axes[0].key} {point.x:g}, {axes[1].key} {point.y:g}: {value}")
+    if comm.rank == 0:
+        output.mkdir(parents=True, exist_ok=True)
+        _write(output / "stability-map.csv", axes, found)
+        from mpipic.plots.growth_map import draw_map
+
+        draw_map(output / "stability-map.png", axes, found, scene, BORDER)
+    console.message(f"map of {len(found)} points in {output}")
+    return found
+
+
+def _write(path: Path, axes: Sequence[Axis], found: Sequence[Point]) -> None:
+    stream = io.StringIO()
+    table: Any = csv.writer(stream, lineterminator="\n")
+    names = {"x": axes[0].key, "y": axes[1].key, "flow": "flow taken"}
+    table.writerow([names.get(column, column) for column in COLUMNS])
+    for p in found:
+        row = (p.filter, p.x, p.y, " ".join(map(repr, p.flow)), p.growth, p.period, p.blow_up, p.status)
+        table.writerow(["" if cell is None else cell for cell in row])
+    with replacing(path) as temporary:
+        temporary.write_text(stream.getvalue(), encoding="utf-8")

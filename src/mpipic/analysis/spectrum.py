@@ -1,0 +1,141 @@
+"""The verb `spectrum`: what a single application of each filter keeps of every wave, on the scene's particles.
+
+Of the wave q = cos(k·x + phase) on the particles a filter F keeps ⟨q, F q⟩ / ⟨q, q⟩. The phase matters only where the
+grid cannot hold both of a wave's phases: at two nodes a period, a cosine that peaks on the nodes is kept best, a sine
+not at all.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from mpipic.analysis.filter_choice import Choice
+from mpipic.console import Console
+from mpipic.filters import family as filters
+from mpipic.io.run_directory import replacing
+from mpipic.mapping.mapping import Mapping
+from mpipic.mesh.grid import FloatArray, Grid
+from mpipic.run.loop import check_filter, populate, solution_of
+from mpipic.scene.records import Scene
+
+PHASE = 0.3
+WAVES = 64
+"""At most so many wave numbers a direction."""
+AT_ONCE = 1 << 22
+"""Numbers of the waves that are filtered together."""
+SHOWN = (2, 4, 8, 16, 32)
+COLUMNS = ("direction", "wave", "lambda_over_h", "filter", "kept")
+
+
+@dataclass(frozen=True)
+class Kept:
+    """One point: direction x, y, z or diagonal; whole periods in the box along it; nodes a period; share kept."""
+
+    direction: str
+    wave: int
+    lambda_over_h: float
+    filter: str
+    kept: float
+
+
+def wave_numbers(cells: int) -> list[int]:
+    """Whole periods in `cells` cells, down to two nodes a period; thinned out to about WAVES, dyadic ones kept."""
+    every = np.arange(1, cells // 2 + 1)
+    if every.size <= WAVES:
+        return [int(k) for k in every]
+    dyadic = [cells // m for m in (2, 3, 4, 6, 8, 12, 16, 24, 32, 64) if cells % m == 0]
+    spread = np.unique(np.rint(np.geomspace(1, cells // 2, WAVES)).astype(int))
+    return sorted({*spread.tolist(), *dyadic})
+
+
+def directions(cells: Sequence[int]) -> list[tuple[str, tuple[int, ...], list[int]]]:
+    """Name, unit wave vector in periods, and wave numbers: each axis that can carry a wave, and in 2D, 3D the diagonal.
+
+    Along the diagonal every axis has the same number of periods.
+    """
+    found = []
+    for axis, n in enumerate(cells):
+        unit = tuple(int(a == axis) for a in range(len(cells)))
+        found.append(("xyz"[axis], unit, wave_numbers(n)))
+    if len(cells) > 1:
+        found.append(("diagonal", (1,) * len(cells), wave_numbers(min(cells))))
+    return [item for item in found if item[2]]
+
+
+def measure(scene: Scene, choices: Sequence[Choice], comm: MPI.Comm, phase: float = PHASE) -> list[Kept]:
+    """Every point of the spectra at the scene's initial positions; `phase` in radians. Collective."""
+    grid = Grid(scene.grid.cells, scene.grid.length, comm, scene.mapping.basis)
+    particles = populate(scene, grid, solution_of(scene))
+    total = int(comm.allreduce(particles.count))
+    mapping = Mapping.at(grid, particles)
+    turn = 2.0 * np.pi * np.ascontiguousarray(particles.coordinate) / np.array(grid.cells)
+    points = []
+    for choice in choices:
+        if choice.settings.kind == "svd":
+            check_filter(scene, total, comm, "svd")
+        filter_ = filters.create(choice.settings.kind, mapping, choice.settings)
+        for name, unit, waves in directions(grid.cells):
+            shortest = min(n for n, periods in zip(grid.cells, unit, strict=True) if periods)
+            kept = _kept(filter_, turn @ np.array(unit, dtype=float), phase, waves, grid)
+            points += [
+                Kept(name, k, shortest / k, choice.label, float(share)) for k, share in zip(waves, kept, strict=True)
+            ]
+    return points
+
+
+def _kept(filter_: filters.Filter, turn: FloatArray, phase: float, waves: Sequence[int], grid: Grid) -> FloatArray:
+    """⟨q, F q⟩ / ⟨q, q⟩ for q = cos(wave turn + phase); 0 for a wave that vanishes on all particles."""
+    together = max(1, AT_ONCE // max(1, int(grid.reduce(np.array([float(len(turn))]), MPI.MAX)[0])))
+    shares = []
+    for start in range(0, len(waves), together):
+        q = np.cos(turn[:, None] * np.array(waves[start : start + together], dtype=float) + phase)
+        products = np.stack([np.sum(q * filter_.apply(q), axis=0), np.sum(q * q, axis=0)])
+        grid.reduce(products)
+        shares.append(np.divide(products[0], products[1], out=np.zeros(len(products[0])), where=products[1] > 0))
+    return np.concatenate(shares)
+
+
+def run(
+    scene: Scene, choices: Sequence[Choice], comm: MPI.Comm, console: Console, output: Path, plot: bool, phase: float
+) -> None:
+    """Measure, print a table, write spectrum.csv and spectrum.png into the folder `output`. Collective."""
+    points = measure(scene, choices, comm, phase)
+    labels = list(dict.fromkeys(point.filter for point in points))
+    for direction in dict.fromkeys(point.direction for point in points):
+        rows = _rows(points, direction, labels)
+        if rows:
+            console.table(f"kept of a wave along {direction}", ("λ/h", *labels), rows)
+    if comm.rank == 0:
+        output.mkdir(parents=True, exist_ok=True)
+        _write(output / "spectrum.csv", points)
+        if plot:
+            from mpipic.plots.pictures import draw_spectrum
+
+            draw_spectrum(output / "spectrum.png", points, scene)
+    console.message(f"spectra of {len(labels)} filters in {output}")
+
+
+def _rows(points: Sequence[Kept], direction: str, labels: Sequence[str]) -> list[list[str]]:
+    """The waves of SHOWN lengths where there are such, else up to five others."""
+    mine = [point for point in points if point.direction == direction]
+    lengths = sorted({point.lambda_over_h for point in mine})
+    shown = [length for length in lengths if length in SHOWN] or lengths[:: max(1, len(lengths) // 5)]
+    value = {(point.lambda_over_h, point.filter): point.kept for point in mine}
+    return [[f"{length:g}", *(f"{value[length, label]:.4f}" for label in labels)] for length in shown]
+
+
+def _write(path: Path, points: Sequence[Kept]) -> None:
+    stream = io.StringIO()
+    table: Any = csv.writer(stream, lineterminator="\n")
+    table.writerow(COLUMNS)
+    table.writerows((p.direction, p.wave, repr(p.lambda_over_h), p.filter, repr(p.kept)) for p in points)
+    with replacing(path) as temporary:
+        temporary.write_text(stream.getvalue(), encoding="utf-8")

@@ -1,0 +1,219 @@
+"""The verb `stress`: stiff and extreme cases, each run and judged.
+
+The rule for every case: a right answer, or a stated `unstable`, or a refusal with a reason; never a number that is not
+finite, never a wrong number called completed. Where a growth rate can be computed, the run must bear it out.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from mpipic.analysis.growth import analyse
+from mpipic.analysis.trial_cases import CASES, Case
+from mpipic.console import Console
+from mpipic.errors import NotConverged
+from mpipic.io.run_directory import plain, replacing
+from mpipic.mesh.grid import FloatArray
+from mpipic.run.diagnostics import ErrorReport, measure
+from mpipic.run.loop import Simulation
+from mpipic.run.verb import versions
+from mpipic.scene.records import Scene, SceneError
+
+AGREE = 0.05
+"""Growth rates of run and prediction may differ by this share."""
+RESOLVED = 1e-3
+"""Growth per step above which the two are compared."""
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What a case came to: status completed, unstable, refused or not converged; verdict good or BAD, and why."""
+
+    case: str
+    filter: str
+    status: str
+    steps: int
+    growth: float | None
+    predicted: float | None
+    error: float | None
+    seconds: float
+    verdict: str
+    reason: str
+
+
+class _Watch:
+    """Keeps the largest |density| of every step."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        self._simulation = simulation
+        self.peaks: list[float] = [simulation.sweep.peak]
+
+    def record(self, step: int, time: float, peak: float, report: ErrorReport | None) -> None:
+        """Nothing: peaks come with every step."""
+
+    def snapshot(self, step: int, time: float) -> None:
+        """Nothing."""
+
+    def progress(self, step: int, time: float) -> None:
+        """Keep this rank's largest density."""
+        self.peaks.append(self._simulation.sweep.peak)
+
+    def growth(self, comm: MPI.Comm, period: int) -> float | None:
+        """Growth per step of max |ρ| over all ranks, the slope of its logarithm over whole periods.
+
+        Taken where it is a thousand times the start, which leaves the solution itself behind; None where that lasts for
+        less than two periods.
+        """
+        peaks = np.array(self.peaks)
+        peaks = np.where(np.isfinite(peaks), peaks, np.inf)
+        comm.Allreduce(MPI.IN_PLACE, peaks, op=MPI.MAX)
+        peaks = peaks[np.isfinite(peaks)]
+        grown = np.flatnonzero(peaks > 1e3 * peaks[0])
+        if grown.size == 0 or peaks[0] <= 0.0:
+            return None
+        periods = (len(peaks) - 1 - int(grown[0])) // period
+        if periods < 2:
+            return None
+        return float(np.log(peaks[-1] / peaks[-1 - periods * period]) / (periods * period))
+
+
+def judge(case: Case, comm: MPI.Comm) -> Judgement:
+    """Run one case and hold it against its rule. Collective."""
+    began = perf_counter()
+    try:
+        scene = Scene.from_dict(case.scene, name=case.name)
+        found = _run(case, scene, comm)
+    except SceneError as error:
+        status, good = "refused", case.expect in ("refused", "any")
+        found = {"status": status, "good": good, "reason": str(error).splitlines()[0]}
+    except NotConverged as error:
+        found = {"status": "not converged", "good": case.expect == "any", "reason": str(error)}
+    return Judgement(
+        case=case.name,
+        filter=str(case.scene.get("filter", {}).get("kind", "local")),
+        status=found["status"],
+        steps=found.get("steps", 0),
+        growth=found.get("growth"),
+        predicted=found.get("predicted"),
+        error=found.get("error"),
+        seconds=perf_counter() - began,
+        verdict="good" if found["good"] else "BAD",
+        reason=found["reason"],
+    )
+
+
+def _run(case: Case, scene: Scene, comm: MPI.Comm) -> dict[str, Any]:
+    simulation = Simulation(scene, comm)
+    if case.place is not None:
+        _place(simulation, case.place(simulation.grid, np.random.default_rng(0)))
+    if case.amplitude != 1.0:
+        simulation.particles.state[...] *= case.amplitude
+        simulation.limit *= case.amplitude
+        simulation.sweep.remap()
+    simulation.formulation.forget()
+    watch = _Watch(simulation)
+    outcome = simulation.run(watch)
+    error = _error(case, simulation) if outcome.status == "completed" else None
+    finite = bool(np.isfinite(simulation.particles.state).all())
+    finite = bool(comm.allreduce(finite, op=MPI.MIN))
+    simulation.close()
+    facts = {"status": outcome.status, "steps": outcome.step, "error": error}
+    if outcome.status == "completed" and not finite:
+        return {**facts, "good": False, "reason": "a value that is not finite was called completed"}
+    if case.predict:
+        return {**facts, **_against_prediction(case, scene, watch, outcome.status, comm)}
+    if outcome.status == "unstable":
+        good = case.expect in ("unstable", "any")
+        return {**facts, "good": good, "reason": "stated" if good else "should have completed"}
+    if case.expect == "unstable":
+        return {**facts, "good": False, "reason": "should have ended unstable"}
+    right = error is None or error <= case.error
+    words = "bounded" if error is None else f"error {error:.2g}, at most {case.error:g}"
+    return {**facts, "good": right, "reason": words if right else f"a wrong answer: {words}"}
+
+
+def _place(simulation: Simulation, coordinate: FloatArray) -> None:
+    """Put the particles at these coordinates in cells, (n, d), the same on all ranks, as at t = 0. Collective."""
+    grid, particles = simulation.grid, simulation.particles
+    coordinate = grid.wrapped(coordinate)
+    ids = np.flatnonzero(grid.owner_of(coordinate) == grid.rank)
+    mine = coordinate[ids]
+    particles.replace(mine, np.zeros((len(ids), 1 + grid.dim)), ids)
+    if simulation.exact is not None:
+        particles.state[:, 0], particles.state[:, 1:] = simulation.exact(particles.position, 0.0)
+    simulation.total = int(simulation.comm.allreduce(particles.count))
+    simulation.sweep.remap()
+
+
+def _error(case: Case, simulation: Simulation) -> float | None:
+    """l2 error of the density, relative to the amplitude. Collective."""
+    if simulation.exact is None or not simulation.total:
+        return None
+    solution, size = simulation.exact, case.amplitude
+
+    def scaled(x: FloatArray, time: float) -> tuple[FloatArray, FloatArray]:
+        density, velocity = solution(x, time)
+        return density * size, velocity * size
+
+    report = measure(simulation.particles, scaled, simulation.step, simulation.time, simulation.total, simulation.comm)
+    return report.density.l2 / size
+
+
+def _against_prediction(case: Case, scene: Scene, watch: _Watch, status: str, comm: MPI.Comm) -> dict[str, Any]:
+    """Whether the run did what its growth rate says. Collective."""
+    analysis = analyse(scene, comm, 2000)
+    predicted = math.log1p(analysis.growth_per_step)
+    growth = watch.growth(comm, analysis.period_steps)
+    facts = {"predicted": predicted, "growth": growth}
+    if predicted > RESOLVED and growth is not None:
+        off = abs(growth - predicted) / predicted
+        return {**facts, "good": off <= AGREE, "reason": f"growth differs from the prediction by {100 * off:.1f} %"}
+    # rounding begins far below its unit where symmetry hides a mode: a run may outlast the prediction by half
+    due = math.log(1e3 / 1e-16) / predicted if predicted > 0.0 else math.inf
+    late = growth is None and status == "completed" and 1.5 * due < scene.time.steps
+    return {**facts, "good": not late, "reason": "should have grown" if late else "as predicted: stable for so long"}
+
+
+def run(
+    comm: MPI.Comm, console: Console, output: Path | None, short: bool, only: Sequence[str] | None = None
+) -> list[Judgement]:
+    """Judge all cases, or the short ones, or those whose name contains one of `only`; print one table. Collective."""
+    cases = [case for case in CASES if case.short or not short]
+    if only:
+        cases = [case for case in cases if any(part in case.name for part in only)]
+    judged = []
+    for case in cases:
+        judged.append(judge(case, comm))
+        console.message(f"{judged[-1].verdict:4s} {judged[-1].case}: {judged[-1].reason} ({judged[-1].seconds:.1f} s)")
+    console.table(f"{len(judged)} cases on {comm.size} ranks", HEADER, [_cells(item) for item in judged])
+    bad = [item for item in judged if item.verdict != "good"]
+    for item in bad:
+        console.fail(f"{item.case}: {item.reason}")
+    console.message(f"{len(judged) - len(bad)} good, {len(bad)} bad, in {sum(j.seconds for j in judged):.0f} s")
+    if output is not None and comm.rank == 0:
+        content = {"ranks": comm.size, "cases": [asdict(item) for item in judged], "versions": versions()}
+        with replacing(output) as temporary:
+            temporary.write_text(json.dumps(plain(content), indent=2) + "\n", encoding="utf-8")
+    return judged
+
+
+HEADER = ("of", "status", "step", "growth", "predicted", "error", "verdict")
+
+
+def _cells(item: Judgement) -> list[str]:
+    def number(value: float | None) -> str:
+        return "" if value is None else f"{value:.2e}"
+
+    return [
+        item.case, item.status, str(item.steps), number(item.growth), number(item.predicted), number(item.error),
+        item.verdict,
+    ]  # fmt: skip

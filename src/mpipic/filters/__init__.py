@@ -1,0 +1,1 @@
+"""Null-space filters: what they keep of particle values, and how."""

@@ -1,0 +1,1 @@
+"""Files: run directories, particle snapshots, particle files."""

@@ -1,0 +1,1 @@
+"""Nodes: the grid and its ranks, ghost nodes, splines, differences on nodes."""

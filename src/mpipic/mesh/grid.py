@@ -1,0 +1,213 @@
+"""The node grid: uniform, periodic, split into one block per rank by a PETSc DMDA.
+
+Node i of an axis lies at i h and opens cell i, so a rank owns the cells of its nodes. Nodal arrays are local, ghosted
+and C-contiguous, of shape (local_nodes,) or (local_nodes, k), x fastest: the block a DMDA calls local. Ghost nodes
+move between ranks, and around the period, in two verbs: `sum_halo` (ghosts add into their owners) and `fill_halo`
+(owners copy to their ghosts).
+
+Where a particle is, is kept as its coordinate in cells, a whole multiple of `Grid.quantum` (one unit in the last place
+of the number of cells). Sums of such numbers are exact: particles that all move by the same displacement keep their
+distances to the last bit, a lattice stays one, and a pattern that should recur does. In units of length neither would
+hold, and the rounding of positions alone would feed null-space noise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from mpipic.mesh.basis import DEGREES, REACH
+from mpipic.mesh.decomposition import process_grid
+from mpipic.mesh.halo import FloatArray, Halo
+
+__all__ = ["ON_NODE", "FloatArray", "Grid", "columns_of", "raise_together"]
+
+ON_NODE = 1e-10
+"""A particle within this many cells of a node counts as on it, so that rounding never decides the side."""
+
+
+def columns_of(values: npt.ArrayLike) -> FloatArray:
+    """Values (n,) or (n, k) as a C-contiguous array (n, k), copied only where they are not one."""
+    array = np.asarray(values, dtype=np.float64)
+    return np.ascontiguousarray(array if array.ndim == 2 else array[:, None])
+
+
+def raise_together(comm: MPI.Comm, problem: str | None) -> None:
+    """Raise ValueError on all ranks with the problem of the lowest rank that has one. Collective; one reduction."""
+    first = comm.allreduce(comm.rank if problem else comm.size, op=MPI.MIN)
+    if first < comm.size:
+        raise ValueError(f"rank {first}: {comm.bcast(problem, root=first)}")
+
+
+class Grid:
+    """A periodic grid of `cells` cells over a box of size `length`, split over the ranks of `comm`.
+
+    Parameters
+    ----------
+    cells : one to three whole numbers
+        Cells, and so nodes, per axis.
+    length : floats, one per axis
+        Period per axis, any unit of length.
+    comm
+        mpi4py communicator; every rank must take part in building the grid and in the halo verbs.
+    basis
+        linear, quadratic or cubic: the B-splines that particles see the nodes through.
+
+    Attributes
+    ----------
+    dim, cells, length, h
+        Dimension, cells, period and spacing per axis.
+    degree
+        Of the basis.
+    owned_start, owned_shape
+        First own cell, and number of own cells, per axis (x, y, z).
+    local_nodes, local_cells
+        Entries of a nodal array (own and ghost nodes), own cells.
+    nodes : Halo
+        The block of own nodes with its ghosts, which nodal arrays are shaped like.
+    layout : (int, int, int)
+        Flat index of the node that opens the first own cell; flat strides along y and z.
+    quantum, tolerance : floats, cells
+        Coordinates are multiples of the one; within the other of a node a particle counts as on it.
+    reductions : int
+        How often `reduce` has been called.
+    starts : arrays, one per axis
+        First cell of each block along the axis.
+
+    Raises
+    ------
+    ValueError
+        If the ranks cannot be laid out with at least one cell each.
+
+    Notes
+    -----
+    Collective. Cost: O(local nodes) once.
+    """
+
+    def __init__(
+        self,
+        cells: Sequence[int],
+        length: Sequence[float],
+        comm: MPI.Comm = MPI.COMM_WORLD,
+        basis: str = "linear",
+    ) -> None:
+        self.comm, self.rank, self.size = comm, comm.rank, comm.size
+        self.cells = tuple(int(n) for n in cells)
+        self.length = tuple(float(x) for x in length)
+        self.dim = len(self.cells)
+        if not 1 <= self.dim <= 3 or len(self.length) != self.dim:
+            raise ValueError(f"cells and length need one to three entries each, got {cells} and {length}")
+        self.h = tuple(x / n for x, n in zip(self.length, self.cells, strict=True))
+        self.inverse_h = tuple(n / x for x, n in zip(self.length, self.cells, strict=True))
+        self.quantum = tuple(2.0 ** (math.frexp(n)[1] - 52) for n in self.cells)
+        # A whole number of quanta, so that no comparison with it rounds; beyond some hundred thousand cells an axis
+        # the quantum itself is coarser than ON_NODE.
+        self.tolerance = tuple(max(round(ON_NODE / q), 2) * q for q in self.quantum)
+        blocks = process_grid(self.cells, self.size)
+        if blocks is None:
+            raise ValueError(f"{self.size} ranks cannot share {self.cells} cells with at least one each")
+        self.blocks = blocks
+        self.starts = self._divide()
+        self.degree = DEGREES[basis]
+        reach = REACH[self.degree]
+        self.nodes = Halo(comm, self.cells, self.starts, max(reach), reach)
+        self.owned_start, self.owned_shape = self.nodes.owned_start, self.nodes.owned_shape
+        self.local_nodes, self.layout = self.nodes.local_nodes, self.nodes.layout
+        self.local_cells = int(np.prod(self.owned_shape))
+        self.reductions = 0
+        self.node_count = int(np.prod(self.cells))
+        self.padded_shape = self.owned_shape + (1,) * (3 - self.dim)
+
+    def _divide(self) -> list[npt.NDArray[np.int64]]:
+        """First node of every block, per axis, as a DMDA divides the cells."""
+        da = PETSc.DMDA().create(
+            dim=self.dim, sizes=self.cells, proc_sizes=self.blocks, dof=1, stencil_width=0, comm=self.comm
+        )
+        starts = [np.cumsum([0, *sizes[:-1]], dtype=np.int64) for sizes in da.getOwnershipRanges()]
+        da.destroy()
+        return starts
+
+    def zeros(self, columns: int) -> FloatArray:
+        """A nodal array of zeros, shape (local_nodes, columns). Local."""
+        return np.zeros((self.local_nodes, columns))
+
+    def owned(self, nodal: np.ndarray) -> np.ndarray:
+        """View of a nodal array's own nodes, shape owned_shape or owned_shape + (k,), axes in x, y, z order. Local."""
+        block = self.nodes.own(nodal)
+        axes = tuple(reversed(range(self.dim))) + tuple(range(self.dim, block.ndim))
+        return block.transpose(axes)
+
+    def sum_halo(self, nodal: FloatArray) -> None:
+        """Add what ghost nodes hold into their owners, in place; ghosts keep their own share.
+
+        Collective; one message to each neighbouring rank.
+        """
+        self.nodes.add(nodal)
+
+    def fill_halo(self, nodal: FloatArray) -> None:
+        """Copy the owners' values to their ghosts, in place. Collective; one message to each neighbouring rank."""
+        self.nodes.fill(nodal)
+
+    def reduce(self, numbers: FloatArray, op: MPI.Op = MPI.SUM) -> FloatArray:
+        """Combine numbers of all ranks, in place, and count it. Collective."""
+        self.reductions += 1
+        self.comm.Allreduce(MPI.IN_PLACE, numbers, op=op)
+        return numbers
+
+    def size_of(self, numbers: FloatArray) -> float:
+        """A power of two near the largest of these on all ranks; 1 for zeros, infinity where one is not finite.
+
+        What is divided by it rounds nothing, and neither over- nor underflows in products. Collective; one reduction.
+        """
+        return float(self.sizes_of(numbers.reshape(1, -1))[0])
+
+    def sizes_of(self, rows: FloatArray) -> FloatArray:
+        """`size_of` for each of several rows (k, n), in one reduction: (k,)."""
+        largest = np.maximum(rows.max(axis=1, initial=0.0), -rows.min(axis=1, initial=0.0))
+        # what MAX makes of a NaN differs between MPIs: infinity stands in for it
+        largest = self.reduce(np.where(np.isfinite(largest), largest, np.inf), MPI.MAX)
+        with np.errstate(divide="ignore"):
+            return np.where(
+                (largest > 0.0) & (largest < np.inf),
+                np.ldexp(1.0, np.frexp(largest)[1] - 1),
+                largest + (largest == 0.0),
+            )
+
+    def cell_of(self, coordinate: FloatArray) -> npt.NDArray[np.int64]:
+        """Global cell (n, d) of coordinates (n, d), by the arithmetic of the compiled loops. Local."""
+        return np.asarray((coordinate + np.array(self.tolerance)).astype(np.int64))
+
+    def owner_of(self, coordinate: FloatArray) -> npt.NDArray[np.int64]:
+        """Rank (n,) that owns the cell of each coordinate (n, d). Local."""
+        cell = self.cell_of(coordinate)
+        owner = np.zeros(len(cell), dtype=np.int64)
+        stride = 1
+        for axis, starts in enumerate(self.starts):
+            owner += stride * (np.searchsorted(starts, cell[:, axis], side="right") - 1)
+            stride *= len(starts)
+        return owner
+
+    def coordinate_of(self, position: FloatArray) -> FloatArray:
+        """Coordinates (n, d) in cells, in the box, of positions (n, d) in length, any whole number of periods off."""
+        return self.wrapped(np.asarray(position) / np.array(self.h))
+
+    def wrapped(self, coordinate: FloatArray) -> FloatArray:
+        """Coordinates (n, d) in the box and on its quantum: -tolerance <= x < cells - tolerance. Local.
+
+        A particle that counts as on the upper face is on node 0, and has a coordinate just below 0.
+        """
+        period = np.array(self.cells, dtype=np.float64)
+        with np.errstate(invalid="ignore"):
+            inside = self.rounded(np.mod(coordinate, period))
+        return np.where(inside >= period - np.array(self.tolerance), inside - period, inside)
+
+    def rounded(self, coordinate: FloatArray) -> FloatArray:
+        """Coordinates or displacements in cells, rounded to whole multiples of `quantum`. Local."""
+        quantum = np.array(self.quantum)
+        with np.errstate(invalid="ignore"):  # infinities become NaN, and are refused where cells are looked up
+            return np.asarray(np.rint(np.asarray(coordinate) / quantum) * quantum)

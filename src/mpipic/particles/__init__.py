@@ -1,0 +1,1 @@
+"""Particles: named fields, layouts, motion and migration."""

@@ -1,0 +1,215 @@
+"""Particles of one rank: growable columns, global ids, layouts, order by cell.
+
+A particle is a coordinate, an id that is its own on all ranks, and one row of the state array, whose columns are named
+fields of one or more components. Nothing here knows what the fields mean.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from mpipic.kernels import generic
+from mpipic.mesh.grid import FloatArray, Grid
+
+IntArray = npt.NDArray[np.int64]
+
+
+class Particles:
+    """Columns of the particles that this rank holds.
+
+    Parameters
+    ----------
+    h : d floats
+        Spacing of the grid, unit of length; its number of entries is the dimension.
+    fields : mapping from name to number of components, 0 for a scalar
+        For example {"density": 0, "velocity": 2}; columns of the state in this order.
+
+    Attributes
+    ----------
+    coordinate : (n, d), in cells
+    position : (n, d), unit of length
+        A copy.
+    state : (n, k)
+        All fields side by side. `coordinate`, `state` and `ids` are views: ask again after particles came or went.
+    ids : (n,) int64
+        Global id, never changed.
+    fields : dict of views into `state`
+        (n,) for a scalar, else (n, components).
+
+    Notes
+    -----
+    Local. Memory: 8 (d + k + 1) bytes a particle, and up to an eighth more once particles have arrived.
+    """
+
+    def __init__(self, h: Sequence[float], fields: Mapping[str, int]) -> None:
+        self.h = tuple(h)
+        self.dim = len(self.h)
+        self.components = dict(fields)
+        self.count = 0
+        self._axes = np.empty((self.dim, 0))
+        self._state = np.empty((0, sum(max(1, k) for k in fields.values())))
+        self._ids = np.empty((0, 1), dtype=np.int64)
+
+    @property
+    def coordinate(self) -> FloatArray:
+        """Coordinates in cells, (n, d), a view."""
+        return self._axes[:, : self.count].T
+
+    @property
+    def axes(self) -> FloatArray:
+        """Coordinates in cells with one row per axis, (d, room): the memory behind `coordinate`, C-contiguous."""
+        return self._axes
+
+    @property
+    def position(self) -> FloatArray:
+        """Positions in units of length, (n, d), a copy; what counts as on node 0 is there."""
+        return np.maximum(self.coordinate, 0.0) * np.array(self.h)
+
+    @property
+    def state(self) -> FloatArray:
+        """All fields side by side, (n, k), a view."""
+        return self._state[: self.count]
+
+    @property
+    def ids(self) -> IntArray:
+        """Global ids, (n,), a view."""
+        return self._ids[: self.count, 0]
+
+    @property
+    def fields(self) -> dict[str, FloatArray]:
+        """Name to view of the state: (n,) or (n, components)."""
+        return {name: self.state[:, columns] for name, columns in self._columns().items()}
+
+    def _columns(self) -> dict[str, int | slice]:
+        columns: dict[str, int | slice] = {}
+        first = 0
+        for name, components in self.components.items():
+            columns[name] = slice(first, first + components) if components else first
+            first += max(1, components)
+        return columns
+
+    def field(self, name: str) -> FloatArray:
+        """View of one field: (n,) or (n, components)."""
+        return self.state[:, self._columns()[name]]
+
+    @property
+    def bytes_per_particle(self) -> int:
+        """Bytes of one particle's row in all columns."""
+        return 8 * (self.dim + self._state.shape[1] + 1)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all columns, with the room kept for arrivals."""
+        return sum(array.nbytes for array in (self._axes, self._state, self._ids))
+
+    def append(self, coordinate: FloatArray, state: FloatArray, ids: IntArray) -> None:
+        """Add particles after the present ones. Shapes (j, d), (j, k), (j,). Local; O(j), now and then O(n)."""
+        added = len(ids)
+        self._reserve(self.count + added)
+        span = slice(self.count, self.count + added)
+        self._axes[:, span], self._state[span], self._ids[span, 0] = coordinate.T, state, ids
+        self.count += added
+
+    def replace(self, coordinate: FloatArray, state: FloatArray, ids: IntArray) -> None:
+        """Hold these particles and no others. Shapes (n, d), (n, k), (n,). Local; O(n)."""
+        self.count = 0
+        self.append(coordinate, state, ids)
+
+    def _reserve(self, wanted: int) -> None:
+        if wanted <= len(self._ids):
+            return
+        room = wanted if self.count == 0 else wanted + wanted // 8
+        axes, state, ids = self.coordinate, self.state, self.ids
+        self._axes = np.empty((self.dim, room))
+        self._state = np.empty((room, state.shape[1]))
+        self._ids = np.empty((room, 1), dtype=np.int64)
+        self.coordinate[:], self.state[:], self.ids[:] = axes, state, ids
+
+    def take(self, index: IntArray) -> tuple[FloatArray, FloatArray, IntArray]:
+        """Remove the particles at these sorted indices and return copies (coordinate, state, ids).
+
+        Others move into the gaps from the end. Local; O(number removed).
+        """
+        taken = self.coordinate[index], self.state[index], self.ids[index]
+        for array in (*(axis[:, None] for axis in self._axes), self._state, self._ids):
+            generic.close_gaps(index, self.count, array)
+        self.count -= len(index)
+        return taken
+
+    def sort_by_cell(self, grid: Grid) -> None:
+        """Order by cell, x fastest; those of one cell keep their order. Local; O(n), one column copied at a time."""
+        cell, _ = locate(grid, self.coordinate)
+        order = np.empty(self.count, dtype=np.int64)
+        generic.sort_order(cell, grid.local_cells, order)
+        for array in (*self._axes, self._state, self._ids):
+            array[: self.count] = array[order]
+
+
+def locate(grid: Grid, coordinate: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Local cell (n,) and local coordinates (n, d) of coordinates (n, d), which must lie in this rank's cells.
+
+    Raises ValueError naming the first that does not. Local; O(n).
+    """
+    cell = np.empty(len(coordinate), dtype=np.int64)
+    fraction = np.empty_like(coordinate)
+    stray = generic.locate(
+        coordinate, np.array(grid.tolerance), np.array(grid.owned_start), np.array(grid.owned_shape), cell, fraction
+    )
+    if stray >= 0:
+        stop = tuple(s + n for s, n in zip(grid.owned_start, grid.owned_shape, strict=True))
+        raise ValueError(
+            f"particle {stray} at {(coordinate[stray] * np.array(grid.h)).tolist()}, in cells "
+            f"{coordinate[stray].tolist()}, is not in the cells {grid.owned_start} to {stop} of rank {grid.rank}"
+        )
+    return cell, fraction
+
+
+# ---------------------------------------------------------------- layouts
+
+Layout = Callable[[Grid, Sequence[int], float, int, IntArray], FloatArray]
+
+
+def _lattice(grid: Grid, per_cell: Sequence[int], jitter: float, seed: int, ids: IntArray) -> FloatArray:
+    """Cell-centred lattice: (j + 1/2) / per_cell cells along each axis, ids counting x fastest."""
+    points = [n * k for n, k in zip(grid.cells, per_cell, strict=True)]
+    index = np.unravel_index(ids, points[::-1])[::-1]
+    return np.stack([(j + 0.5) / k for j, k in zip(index, per_cell, strict=True)], axis=1)
+
+
+def _jittered(grid: Grid, per_cell: Sequence[int], jitter: float, seed: int, ids: IntArray) -> FloatArray:
+    """The lattice, every particle moved by up to `jitter` particle spacings along every axis."""
+    offset = (2.0 * uniform(seed, ids, grid.dim) - 1.0) * jitter / np.array(per_cell)
+    return _lattice(grid, per_cell, jitter, seed, ids) + offset
+
+
+def _random(grid: Grid, per_cell: Sequence[int], jitter: float, seed: int, ids: IntArray) -> FloatArray:
+    """Independent, uniform in the box."""
+    return uniform(seed, ids, grid.dim) * np.array(grid.cells)
+
+
+LAYOUTS: dict[str, Layout] = {"lattice": _lattice, "jittered": _jittered, "random": _random}
+"""Name to function (grid, per_cell, jitter, seed, ids) -> coordinates (n, d), in cells, of those ids."""
+
+
+def uniform(seed: int, ids: IntArray, columns: int) -> FloatArray:
+    """Uniform numbers in [0, 1), shape (n, columns <= 4), that depend on seed and id only.
+
+    Row j is the block of four that NumPy's Philox generator with key `seed` gives at counter ids[j]; `ids` must be
+    consecutive, so that one jump ahead reaches them all. Local; O(n).
+    """
+    if len(ids) == 0:
+        return np.empty((0, columns))
+    if ids[-1] - ids[0] + 1 != len(ids):
+        raise ValueError("ids must be consecutive")
+    stream = np.random.Philox(key=seed)
+    stream.advance(int(ids[0]))
+    return np.random.Generator(stream).random((len(ids), 4))[:, :columns]
+
+
+def share(total: int, grid: Grid) -> IntArray:
+    """This rank's contiguous part of the ids 0 to total - 1. Local."""
+    edges = [total * r // grid.size for r in (grid.rank, grid.rank + 1)]
+    return np.arange(*edges, dtype=np.int64)

@@ -1,0 +1,1 @@
+"""Equations of motion, one package each; a step sees no ranks, files or scenes."""

@@ -1,0 +1,1 @@
+"""Linearised gas dynamics about a uniform flow."""

@@ -1,0 +1,97 @@
+"""The largest time step that a scene's scheme takes, from the frequencies of its gradients at frozen positions."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from mpipic.errors import NotConverged
+from mpipic.mesh.grid import Grid
+from mpipic.phases import Phases
+from mpipic.physics.acoustics.schemes import NodalScheme
+from mpipic.run.build import build_rates, build_sweep
+from mpipic.run.loop import populate
+from mpipic.scene.records import Scene
+
+REACHES = {"symplectic": 2.0, "rk4": 2.0 * np.sqrt(2.0)}
+"""Integrator to the largest frequency times dt on the imaginary axis that it is stable for; midpoint has none."""
+SAMPLE = {1: 48, 2: 12, 3: 6}
+"""Dimension to the cells per axis of the piece of the scene that is looked at."""
+PLACES = {1: 16, 2: 6, 3: 2}
+"""Dimension to the places, evenly spread over a cell along its diagonal, that the skew gradient is looked at."""
+DIGITS = 1e-5
+"""To what the frequency is computed, which takes a solve with the Gram matrix for every node."""
+
+
+def cfl_limit(scene: Scene, comm: MPI.Comm) -> float | None:
+    """The CFL number that the scheme is stable up to while positions are frozen; None if any, or where it is unknown.
+
+    From the largest frequency of sound that the scheme has on a small periodic piece of the scene, with as many
+    particles a cell in the same layout; with the skew gradient, whose frequencies depend much on where the particles
+    are in their cells, at several places that the flow takes them to. On disordered particles larger scenes hold rarer
+    patterns, so that their limit can be a little lower. Movement of the particles can make a scheme grow below this
+    limit: that is what `mpipic.analysis.growth` finds. Collective: rank 0 computes, all know.
+    """
+    return comm.bcast(_on_one_rank(scene) if comm.rank == 0 else None)
+
+
+def _on_one_rank(scene: Scene) -> float | None:
+    if scene.time.integrator not in REACHES or scene.particles.layout == "file":
+        return None
+    piece = _piece(scene)
+    try:
+        frequency = _largest_frequency(piece)
+    except NotConverged:
+        return None
+    if not frequency > 0.0:
+        return None
+    return REACHES[scene.time.integrator] * scene.gas.sound_speed / (frequency * min(scene.h))
+
+
+def _piece(scene: Scene) -> Scene:
+    """A smaller box of the same cells and particles, without output."""
+    data: dict[str, Any] = scene.to_dict()
+    most = SAMPLE[scene.dim]
+    cells = [min(n, most) for n in scene.grid.cells]
+    data["grid"] = {"cells": cells, "length": [h * n for h, n in zip(scene.h, cells, strict=True)]}
+    data["initial"] = {"profile": "plane-wave", "wave": [1, *[0] * (scene.dim - 1)]}
+    data["output"] = {}
+    if data["filter"]["kind"] == "svd":
+        data["filter"]["kind"] = "exact"
+    if data["filter"]["kind"] == "exact" or scene.mapping.mass != "lumped":
+        data["filter"]["tolerance"] = max(scene.filter.tolerance, DIGITS)
+    data["time"]["steps"] = 0
+    return Scene.from_dict(data, name=scene.name)
+
+
+def _largest_frequency(scene: Scene) -> float:
+    """Square root of the largest |eigenvalue| of density to velocity to density."""
+    grid = Grid(scene.grid.cells, scene.grid.length, MPI.COMM_SELF, scene.mapping.basis)
+    carrier = build_sweep(scene, grid, populate(scene, grid, None), Phases())
+    rates = build_rates(scene, carrier)
+    shifting = scene.mapping.gradient == "skew" and carrier.moving
+    places = PLACES[scene.dim] if shifting else 1
+    squares = 0.0
+    for _ in range(places):
+        squares = max(squares, _largest_square(scene, rates))
+        if shifting:
+            particles = carrier.particles
+            particles.coordinate[...] = grid.wrapped(particles.coordinate + 1.0 / places)
+            carrier.remap()
+    carrier.close()
+    return float(np.sqrt(squares))
+
+
+def _largest_square(scene: Scene, rates: NodalScheme) -> float:
+    grid, nodes = rates.grid, rates.grid.node_count
+    columns = np.empty((nodes, nodes))
+    for node in range(nodes):
+        unit = np.zeros(nodes)
+        unit[node] = 1.0
+        state = np.zeros((grid.local_nodes, 1 + scene.dim))
+        state[:, :1] = rates.spread(unit)
+        state[:, 1:] = rates.velocity(state, 0).field
+        columns[:, node] = rates.own(rates.density(state, 0).field)
+    return float(np.abs(np.linalg.eigvals(columns)).max())

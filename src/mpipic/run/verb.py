@@ -1,0 +1,219 @@
+"""The verb `run`: a simulation with a banner, progress, a run directory and pictures around it."""
+
+from __future__ import annotations
+
+import platform
+from importlib import metadata
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from mpi4py import MPI
+
+from mpipic.console import Console, Progress
+from mpipic.errors import NotConverged
+from mpipic.io.run_directory import ERROR_PLOT, PARTICLES, SOLUTION_PLOT, ParticleSeries, RunDirectory
+from mpipic.phases import Phases
+from mpipic.run import describe as advice
+from mpipic.run.diagnostics import ErrorReport
+from mpipic.run.limits import cfl_limit
+from mpipic.run.loop import Outcome, Simulation
+from mpipic.run.warmup import compile_loops
+from mpipic.runtime import StopRequest
+from mpipic.scene.records import Scene
+
+EXIT_CODES = {"completed": 0, "unstable": 3, "interrupted": 130}
+STEP_PHASES = ("particles", "nodes", "filter", "halo", "migrate", "sort")
+
+
+class Recorder:
+    """Watches a run and keeps what it says: history rows, error reports, snapshots, progress."""
+
+    def __init__(self, simulation: Simulation, directory: RunDirectory, progress: Progress) -> None:
+        self.rows: list[dict[str, Any]] = []
+        self.reports: list[ErrorReport] = []
+        self._simulation, self._directory, self._progress = simulation, directory, progress
+        self._series: ParticleSeries | None = None
+        self._since = perf_counter()
+        self._peak = float("nan")
+
+    def record(self, step: int, time: float, peak: float, report: ErrorReport | None) -> None:
+        """Keep a row of the history; at report steps also bring the files up to date."""
+        self._peak = peak
+        self.progress(step, time)
+        row = {"step": step, "time": time, "max_density": peak, "seconds": perf_counter() - self._since}
+        self.rows.append({**row, **(report.row() if report else {})})
+        if report:
+            self.reports.append(report)
+            self._directory.write_history(self.rows)
+
+    def snapshot(self, step: int, time: float) -> None:
+        """Write particles and nodal means. Collective."""
+        simulation, scene = self._simulation, self._simulation.scene
+        if self._series is None:
+            self._series = ParticleSeries(self._directory.path / PARTICLES, simulation.comm, scene)
+        self._series.write(step, time, scene.dt, simulation.particles, simulation.grid, simulation.nodal_means())
+
+    def progress(self, step: int, time: float) -> None:
+        """Show how far the run is; rank 0's clock, the largest density of the last look at all ranks."""
+        rate = self._simulation.total * step / max(perf_counter() - self._since, 1e-9)
+        self._progress.update(step, time, self._peak, rate)
+
+    def close(self) -> None:
+        """Finish the snapshots. Collective."""
+        if self._series is not None:
+            self._series.close()
+
+
+def run(scene: Scene, comm: MPI.Comm, output: Path | None, overwrite: bool, console: Console, plots: bool) -> int:
+    """Run a scene into a run directory; returns the exit code.
+
+    0 completed, 3 unstable, 130 interrupted. Raises SceneError, OutputError. Collective.
+    """
+    began = perf_counter()
+    phases = Phases()
+    scene.check_ranks(comm.size)
+    phases("compile")
+    compile_loops(scene)
+    simulation = Simulation(scene, comm, phases)
+    # only now: a scene that is refused must neither leave a directory nor clear one
+    path = output if output is not None else RunDirectory.default(scene.name, comm)
+    directory = RunDirectory(path, comm, overwrite)
+    directory.write_scene(scene)
+    phases("compile")
+    limit = cfl_limit(scene, comm)
+    phases("other")
+    console.banner(banner(simulation, path, limit))
+    if limit is not None and scene.cfl > limit:
+        console.warning(f"CFL {scene.cfl:.4g} is above {limit:.4g}, the limit of this scheme: sound waves will grow")
+    stop = StopRequest()
+    with console.progress(scene.time.steps) as progress:
+        recorder = Recorder(simulation, directory, progress)
+        try:
+            outcome = simulation.run(recorder, stop)
+        except NotConverged:
+            recorder.close()
+            directory.write_history(recorder.rows)
+            stop.release()
+            raise
+    phases("output")
+    recorder.close()
+    seconds = {"total": perf_counter() - began, "setup": phases.total("setup", "compile")}
+    directory.write_history(recorder.rows)
+    directory.write_summary(summary(simulation, outcome, recorder.reports, seconds))
+    _say(console, outcome, simulation, recorder, limit)
+    if plots and outcome.status != "interrupted":
+        phases("pictures")
+        _draw(directory, simulation, outcome, recorder)
+        phases("other")
+    console.phase_table(_at_least_a_millisecond(phases.seconds), perf_counter() - began)
+    console.message(f"results in {path}")
+    stop.release()
+    simulation.close()
+    return EXIT_CODES[outcome.status]
+
+
+def banner(simulation: Simulation, path: Path, limit: float | None = None) -> list[tuple[str, str]]:
+    """What is about to run, as (name, value) lines; `limit`: the scheme's CFL limit where it is known."""
+    scene, grid = simulation.scene, simulation.grid
+    built, left_out = advice.parts(scene)
+    ranks = f"{grid.size}, as {' x '.join(map(str, grid.blocks))} blocks" if grid.size > 1 else "1"
+    per_cell = simulation.total / grid.node_count
+    bound = "" if limit is None else f" (limit {limit:.3g})"
+    courant = (
+        f"CFL {scene.cfl:.4g}{bound}, flow {max(map(abs, scene.gas.flow)) * scene.dt / min(grid.h):.3g} cells a step"
+    )
+    return [
+        ("scene", scene.name),
+        ("grid", dict(built)["grid"]),
+        ("particles", f"{simulation.total:,}, {per_cell:.3g} a cell, layout {scene.particles.layout}"),
+        ("ranks", ranks),
+        ("mapping", dict(built)["mapping"]),
+        ("filter", dict(built)["filter"]),
+        ("step", dict(built)["step"]),
+        ("steps", f"{scene.time.steps} of dt = {scene.dt:.6g}: {courant}"),
+        ("left out", ", ".join(left_out)),
+        ("output", str(path)),
+    ]
+
+
+def summary(
+    simulation: Simulation, outcome: Outcome, reports: list[ErrorReport], seconds: dict[str, float]
+) -> dict[str, Any]:
+    """The content of summary.json."""
+    phases = simulation.phases
+    stepping = phases.total(*STEP_PHASES)
+    # a blow-up is dated to its step, but steps go on until the ranks next look
+    done = simulation.total * simulation.step
+    result: dict[str, Any] = {
+        "status": outcome.status,
+        "steps": outcome.step,
+        "time": outcome.step * simulation.scene.dt,
+        "ranks": simulation.comm.size,
+        "particles": simulation.total,
+        "nodes": simulation.grid.node_count,
+        "errors": reports,
+        "seconds": {**seconds, "step": stepping, "phases": phases.seconds},
+        "particle_steps_per_second": done / stepping if done else 0.0,
+        "bytes_per_particle": simulation.particles.bytes_per_particle,
+        "sorts": simulation.sweep.sorts,
+        "scene": simulation.scene.to_dict(),
+        "versions": versions(),
+    }
+    if outcome.blow_up is not None:
+        result["blow_up"] = outcome.blow_up
+        result["cfl"] = simulation.scene.cfl
+    return result
+
+
+def versions() -> dict[str, str]:
+    """Versions of everything that a result may depend on."""
+    names = ("mpipic", "numpy", "mpi4py", "petsc4py", "numba")
+    found = {}
+    for name in names:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            import importlib
+
+            found[name] = str(getattr(importlib.import_module(name), "__version__", "unknown"))
+    library = MPI.Get_library_version().splitlines()[0].strip("\0 ")
+    return {**found, "python": platform.python_version(), "mpi": library, "machine": platform.machine()}
+
+
+def _say(console: Console, outcome: Outcome, simulation: Simulation, recorder: Recorder, limit: float | None) -> None:
+    console.error_table(recorder.reports)
+    if outcome.status == "interrupted":
+        console.warning(f"interrupted after step {outcome.step}; what was recorded until then is complete")
+    if outcome.blow_up is not None:
+        bad, scene = outcome.blow_up, simulation.scene
+        console.fail(
+            f"unstable: |density| = {bad.value:.3g} passed {simulation.limit:.3g} at step {bad.step}, "
+            f"t = {bad.step * scene.dt:.6g}, in cell {list(bad.cell)} on rank {bad.rank}; CFL {scene.cfl:.4g}"
+        )
+        console.message(_blame(scene, limit))
+
+
+def _blame(scene: Scene, limit: float | None) -> str:
+    """What made a run unstable, and which setting would hold."""
+    if limit is not None and scene.cfl > limit:
+        return f"cause: the time step; the scheme takes CFL up to {limit:.3g}: try time.cfl={0.9 * limit:.2g}"
+    cause = "cause: null-space noise, which grows as particles cross cells; mpipic stability computes how fast"
+    advice = ["filter.kind=local delays it"] if scene.filter.kind == "none" else []
+    advice += [] if scene.mapping.mass == "penalised" else ["--preset recommended avoids it"]
+    return "; ".join([cause, *advice])
+
+
+def _at_least_a_millisecond(seconds: dict[str, float]) -> dict[str, float]:
+    return {name: spent for name, spent in seconds.items() if spent >= 1e-3 and name != "other"}
+
+
+def _draw(directory: RunDirectory, simulation: Simulation, outcome: Outcome, recorder: Recorder) -> None:
+    from mpipic.plots.pictures import draw_error, draw_solution, gather_sample
+
+    sample = gather_sample(simulation.particles, simulation.comm)
+    if sample is None:
+        return
+    scene, step = simulation.scene, simulation.step
+    draw_error(directory.path / ERROR_PLOT, recorder.rows, scene, outcome.status == "unstable")
+    draw_solution(directory.path / SOLUTION_PLOT, scene, simulation.time, step, sample, simulation.exact)

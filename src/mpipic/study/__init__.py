@@ -1,0 +1,1 @@
+"""Sweeps of runs: error against run time."""

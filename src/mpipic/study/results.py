@@ -1,0 +1,282 @@
+"""What the runs of a study amount to: a row for each point, the Pareto front, orders of convergence, CSV and JSON."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import statistics
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from mpipic.io.run_directory import plain, replacing
+from mpipic.scene.records import Scene
+from mpipic.scene.text import show
+from mpipic.study.file import NORMS, QUANTITIES, Study
+from mpipic.study.pareto import Fit, fit_order, front
+from mpipic.study.points import Axis, Point
+from mpipic.study.runs import COMPLETED, UNSTABLE, Record
+
+CSV, JSON = "study.csv", "study.json"
+NOT_RUN = "not run"
+ABOVE_FLOOR, FEWEST = 10.0, 3
+"""Errors count for an order from so many times the floor on, and so many of them make one."""
+CELLS = "grid.cells"
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Median, least and largest over the repeats."""
+
+    median: float
+    least: float
+    largest: float
+
+    @classmethod
+    def over(cls, values: Sequence[float]) -> Spread:
+        """Of at least one value."""
+        return cls(statistics.median(values), min(values), max(values))
+
+
+@dataclass
+class Row:
+    """A point and what its runs say; what was not measured is None. Times in seconds, memory in bytes.
+
+    Attributes
+    ----------
+    status
+        completed, unstable, timeout, crashed, not converged, refused, or not run.
+    seconds, total_seconds
+        Of stepping, and of everything within the process; of an unstable point until it blew up.
+    error
+        At the end, in the norm of the study; None unless completed.
+    on_front
+        Whether no completed point is faster and as accurate, or more accurate and as fast.
+    """
+
+    point: Point
+    status: str
+    message: str = ""
+    repeats: int = 0
+    seconds: Spread | None = None
+    total_seconds: Spread | None = None
+    phases: dict[str, float] = field(default_factory=dict)
+    rate: float | None = None
+    peak_memory: int | None = None
+    steps: int | None = None
+    time: float | None = None
+    particles: int | None = None
+    nodes: int | None = None
+    errors: dict[str, dict[str, float]] = field(default_factory=dict)
+    error: float | None = None
+    on_front: bool = False
+
+    @property
+    def is_stable(self) -> bool:
+        """Whether it completed with an error that is a number."""
+        return self.status == COMPLETED and self.error is not None
+
+    @property
+    def whole_seconds(self) -> float | None:
+        """Stepping seconds of all steps, at the pace of those that were taken before a blow-up."""
+        if self.seconds is None or not self.steps:
+            return None
+        return self.seconds.median * self.point.scene.time.steps / self.steps
+
+
+def row_of(point: Point, runs: Sequence[Record], norm: str) -> Row:
+    """Sum up the runs of a point: the first that did not complete decides its status, else all of them count."""
+    failed = next((run for run in runs if run["status"] != COMPLETED), None)
+    counted = [failed] if failed else list(runs)
+    if not counted:
+        return Row(point, NOT_RUN)
+    first = counted[0]
+    row = Row(point, first["status"], first.get("message", ""), len(runs))
+    for name in ("steps", "time", "particles", "nodes"):
+        setattr(row, name, first.get(name))
+    row.peak_memory = max(run["peak_memory"] for run in counted) or None
+    timed = [run for run in counted if run.get("seconds")]
+    if timed:
+        row.seconds, row.total_seconds = (Spread.over([run["seconds"][k] for run in timed]) for k in ("step", "total"))
+        row.phases = {
+            name: statistics.median(run["seconds"]["phases"].get(name, 0.0) for run in timed)
+            for name in timed[0]["seconds"]["phases"]
+        }
+        row.rate = statistics.median(run["particle_steps_per_second"] for run in timed)
+    if first.get("errors"):
+        row.errors = {quantity: first["errors"][quantity] for quantity in QUANTITIES}
+        quantity, measure = norm.split(".")
+        error = row.errors[quantity][measure]
+        row.error = error if error is not None and math.isfinite(error) else None
+    return row
+
+
+def sum_up(study: Study, runs: Sequence[Sequence[Record]]) -> list[Row]:
+    """A row for each point of the study, those on the Pareto front marked."""
+    rows = [row_of(point, of_it, study.settings.error) for point, of_it in zip(study.points, runs, strict=True)]
+    stable, pairs = stable_pairs(rows)
+    for index in front(pairs):
+        stable[index].on_front = True
+    return rows
+
+
+def stable_pairs(rows: Sequence[Row]) -> tuple[list[Row], list[tuple[float, float]]]:
+    """The rows that may be recommended, and their (seconds, error)."""
+    stable = [row for row in rows if row.is_stable and row.seconds]
+    return stable, [(row.seconds.median, row.error) for row in stable if row.seconds and row.error is not None]
+
+
+# ------------------------------------------------------------ convergence
+
+
+@dataclass(frozen=True)
+class Order:
+    """Observed order of convergence of points that differ only in grid.cells; `left_out` of them are at the floor."""
+
+    label: str
+    fit: Fit
+    left_out: int
+
+
+def floor(scene: Scene, steps: int) -> float:
+    """An estimate of the error that no scheme gets below: rounding that adds up over the steps, and the solver's.
+
+    2.2e-16 steps + filter.tolerance where a solver is used, for solutions of size 1, as the profiles are.
+    """
+    solves = scene.filter.kind == "exact" or scene.mapping.mass != "lumped"
+    return sys.float_info.epsilon * steps + (scene.filter.tolerance if solves else 0.0)
+
+
+def orders(rows: Sequence[Row]) -> list[Order]:
+    """Orders of convergence wherever at least three errors are ten times above the floor."""
+    families: dict[str, list[Row]] = {}
+    for row in rows:
+        if CELLS in row.point.values and row.is_stable and row.error:
+            families.setdefault(row.point.apart_from(CELLS), []).append(row)
+    found = []
+    for family in families.values():
+        good = [row for row in family if (row.error or 0.0) > ABOVE_FLOOR * floor(row.point.scene, row.steps or 0)]
+        h = [min(row.point.scene.h) for row in good]
+        if len(set(h)) >= FEWEST:
+            fit = fit_order(h, [row.error or 0.0 for row in good])
+            found.append(Order(_family_label(good[0].point), fit, len(family) - len(good)))
+    return found
+
+
+def _family_label(point: Point) -> str:
+    rest = [part for part in point.resolution.split(", ") if part and not part.endswith(" cells")]
+    return ", ".join(filter(None, (point.scheme, *rest))) or "all points"
+
+
+# ------------------------------------------------------------ files
+
+MEASURED = (
+    "id", "label", "status", "ranks", "particles", "nodes", "h", "dt", "cfl", "steps", "time",
+    *(f"{quantity}_{norm}" for quantity in QUANTITIES for norm in NORMS),
+    "repeats", "seconds", "seconds_min", "seconds_max", "total_seconds", "total_seconds_min", "total_seconds_max",
+    "particle_steps_per_second", "peak_memory", "on_front", "message",
+)  # fmt: skip
+
+
+def columns(row: Row) -> dict[str, Any]:
+    """What was measured at a point, flat."""
+    point, seconds, total = row.point, row.seconds, row.total_seconds
+    return {
+        "id": point.id, "label": point.label, "scheme": point.scheme, "resolution": point.resolution,
+        "status": row.status, "ranks": point.ranks, "particles": row.particles, "nodes": row.nodes,
+        "h": min(point.scene.h), "dt": point.scene.dt, "cfl": point.scene.cfl, "steps": row.steps, "time": row.time,
+        **{f"{quantity}_{norm}": row.errors.get(quantity, {}).get(norm) for quantity in QUANTITIES for norm in NORMS},
+        "repeats": row.repeats,
+        "seconds": seconds and seconds.median, "seconds_min": seconds and seconds.least,
+        "seconds_max": seconds and seconds.largest, "total_seconds": total and total.median,
+        "total_seconds_min": total and total.least, "total_seconds_max": total and total.largest,
+        "particle_steps_per_second": row.rate, "peak_memory": row.peak_memory, "on_front": row.on_front,
+        "message": row.message,
+    }  # fmt: skip
+
+
+def write_csv(path: Path, study: Study, rows: Sequence[Row]) -> None:
+    """One line a point: the values of the axes, what was measured, the seconds of each phase; None is empty."""
+    axes = [axis.name for axis in study.axes if axis.name != "ranks"]
+    phases = list(dict.fromkeys(name for row in rows for name in row.phases))
+    stream = io.StringIO()
+    table = csv.writer(stream, lineterminator="\n")
+    table.writerow([*axes, *MEASURED, *(f"seconds_{name}" for name in phases)])
+    for row in rows:
+        measured = columns(row)
+        values = [*(row.point.values[name] for name in axes), *(measured[name] for name in MEASURED)]
+        table.writerow([_cell(value) for value in [*values, *(row.phases.get(name) for name in phases)]])
+    with replacing(path) as temporary:
+        temporary.write_text(stream.getvalue(), encoding="utf-8")
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return ""
+    return value if isinstance(value, str) else show(value)
+
+
+def content(
+    study: Study, rows: Sequence[Row], runs: Sequence[Sequence[Record]], facts: dict[str, Any]
+) -> dict[str, Any]:
+    """Everything, for study.json; `facts` are command, machine, versions."""
+    points = []
+    for row, of_it in zip(rows, runs, strict=True):
+        scene = row.point.scene.to_dict()
+        brief = [{key: value for key, value in run.items() if key not in ("machine", "versions")} for run in of_it]
+        values = {"values": row.point.values, "phases": row.phases, "scene": scene, "runs": brief}
+        points.append({**columns(row), **values})
+    return {
+        "title": study.title,
+        "settings": study.settings.model_dump(),
+        "axes": [axis.name for axis in study.axes],
+        **facts,
+        "points": points,
+        "orders": [{"label": order.label, **asdict(order.fit), "left_out": order.left_out} for order in orders(rows)],
+    }
+
+
+def write_json(path: Path, value: dict[str, Any]) -> None:
+    """Strict JSON: numbers that are not finite become null."""
+    with replacing(path) as temporary:
+        text = json.dumps(plain(value), indent=2, allow_nan=False, ensure_ascii=False)
+        temporary.write_text(text + "\n", encoding="utf-8")
+
+
+# ------------------------------------------------------------ for the picture
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A point of the work-precision picture; those of one scheme and one line are joined. No error: unstable."""
+
+    scheme: str
+    line: str
+    seconds: float
+    spread: tuple[float, float]
+    error: float | None
+    on_front: bool
+
+
+def joined(study: Study) -> Axis | None:
+    """The axis along which the picture joins points: grid.cells, else the first that refines schemes."""
+    refining = [axis for axis in study.axes if axis.refines and len(axis.choices) > 1]
+    return next((axis for axis in refining if axis.name == CELLS), next(iter(refining), None))
+
+
+def marks(study: Study, rows: Sequence[Row]) -> list[Mark]:
+    """The points that belong in the picture: completed, and unstable ones at the time that all steps would take."""
+    axis = joined(study)
+    found = []
+    for row in rows:
+        scheme, line = row.point.scheme or study.title, row.point.apart_from(axis.name if axis else "")
+        if row.is_stable and row.seconds and row.error:
+            spread = (row.seconds.least, row.seconds.largest)
+            found.append(Mark(scheme, line, row.seconds.median, spread, row.error, row.on_front))
+        elif row.status == UNSTABLE and row.whole_seconds:
+            found.append(Mark(scheme, line, row.whole_seconds, (row.whole_seconds,) * 2, None, False))
+    return found

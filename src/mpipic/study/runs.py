@@ -1,0 +1,299 @@
+"""Running the points of a study, each in a process of its own, and keeping what every run says, line by line.
+
+A run that crashes, blows up, or takes too long is a record like any other. Nothing here starts MPI.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import platform
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import IO, Any
+
+from mpipic.io.run_directory import SUMMARY, OutputError, plain, replacing
+from mpipic.runtime import RANKS
+from mpipic.scene.text import escape
+from mpipic.study.points import Point
+
+COMPLETED, UNSTABLE, TIMEOUT, CRASHED = "completed", "unstable", "timeout", "crashed"
+NOT_CONVERGED, REFUSED = "not converged", "refused"
+STATUS_OF_CODE = {0: COMPLETED, 2: REFUSED, 3: UNSTABLE, 4: NOT_CONVERGED}
+FAILED = (TIMEOUT, CRASHED, NOT_CONVERGED, REFUSED)
+POINTS, SCENES = "points.jsonl", "scenes"
+LOOK, GRACE = 0.02, 10.0
+"""Seconds between looks at a run, and that it has to end when asked."""
+KEPT = ("steps", "time", "ranks", "particles", "nodes", "seconds", "particle_steps_per_second", "blow_up", "versions")
+# What Open MPI's and MPICH's launchers leave in their processes: a launcher among them would take itself for a rank.
+LAUNCHED = (
+    "OMPI_COMM_WORLD_", "OMPI_MCA_orte_", "OMPI_MCA_ess", "OMPI_MCA_pmix", "OMPI_MCA_initial_wdir", "OMPI_APP_CTX",
+    "OMPI_MCA_mpi_oversubscribe", "OMPI_UNIVERSE", "OMPI_NUM_APP", "OMPI_FIRST", "OMPI_FILE", "OMPI_COMMAND",
+    "OMPI_ARGV", "PMIX_", "PMI_", "PMI2_", "MV2_COMM_WORLD_", "MPI_LOCAL", "HYDI_",
+)  # fmt: skip
+
+Record = dict[str, Any]
+
+
+def launcher() -> list[str] | None:
+    """The command that starts ranks: this environment's own, the one that MPIPIC_MPIEXEC names, or mpiexec on PATH."""
+    own = Path(sys.prefix) / "bin" / "mpiexec"
+    if own.exists():
+        return [str(own)]
+    named = shlex.split(os.environ.get("MPIPIC_MPIEXEC", ""))
+    found = shutil.which("mpiexec")
+    return named or ([found] if found else None)
+
+
+def command(ranks: int, *arguments: str) -> list[str]:
+    """`mpipic ARGUMENTS` on so many ranks; one rank needs no launcher."""
+    alone = [sys.executable, "-m", "mpipic", *arguments]
+    return alone if ranks == 1 else [*(launcher() or ["mpiexec"]), "-n", str(ranks), *alone]
+
+
+def environment(ranks: int) -> dict[str, str]:
+    """This process's environment for a launcher: nothing of one above it, more ranks than cores and root allowed."""
+    found = dict(os.environ)
+    if any(name in found for name in RANKS):
+        isolated = found.get("OMPI_MCA_ess_singleton_isolated")
+        found = {name: value for name, value in found.items() if not name.startswith(LAUNCHED)}
+        found |= {"OMPI_MCA_ess_singleton_isolated": isolated} if isolated else {}
+    if os.geteuid() == 0:
+        found |= {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
+    if ranks > machine()["cores"]:
+        found["OMPI_MCA_rmaps_base_oversubscribe"] = "1"
+        found.setdefault("PRTE_MCA_rmaps_default_mapping_policy", ":oversubscribe")
+    return found
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a process ended: exit code, minus the signal that ended it, or None if it had to be ended for its time."""
+
+    code: int | None
+    seconds: float
+    peak_memory: int
+
+
+def launch(arguments: Sequence[str], variables: Mapping[str, str], timeout: float, log: IO[str]) -> Ended:
+    """Run a command to its end, standard error into `log`; end it after `timeout` seconds, or when interrupted.
+
+    The process has a session of its own: what a terminal sends to this one does not reach it. Where setpriv is there,
+    it ends with this process even if that is killed. `peak_memory` is the resident bytes of the largest process.
+    """
+    guard = [*_watch(), *arguments]
+    began = time.monotonic()
+    process = subprocess.Popen(
+        guard, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=log, env=variables, start_new_session=True
+    )
+    memory, late = None, False
+    try:
+        memory = _wait(process, began + timeout)
+        late = memory is None
+    finally:
+        if memory is None:
+            memory = _end(process)
+    return Ended(None if late else process.returncode, time.monotonic() - began, memory)
+
+
+def _watch() -> list[str]:
+    found = shutil.which("setpriv")
+    return [found, "--pdeathsig", "TERM"] if found else []
+
+
+def _wait(process: subprocess.Popen[bytes], deadline: float) -> int | None:
+    """The peak memory of a process that ends before the deadline, else None."""
+    while True:
+        pid, status, usage = os.wait4(process.pid, os.WNOHANG)
+        if pid:
+            process.returncode = os.waitstatus_to_exitcode(status)
+            return usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+        if time.monotonic() > deadline:
+            return None
+        time.sleep(LOOK)
+
+
+def _end(process: subprocess.Popen[bytes]) -> int:
+    """End a process: mpiexec is asked first, so that it takes its ranks along."""
+    with suppress(ProcessLookupError, ChildProcessError):
+        for number in (signal.SIGTERM, signal.SIGKILL):
+            os.killpg(process.pid, number)
+            memory = _wait(process, time.monotonic() + GRACE)
+            if memory is not None:
+                return memory
+    return 0
+
+
+def run_once(point: Point, scene_file: Path, repeat: int, timeout: float) -> Record:
+    """Run a point once; returns what there is to say about it, whatever became of it."""
+    with tempfile.TemporaryDirectory(prefix=".run-", dir=scene_file.parent.parent) as folder:
+        output, log = Path(folder) / "output", Path(folder) / "log"
+        arguments = command(point.ranks, "run", str(scene_file), "--output", str(output), "--no-plots", "--quiet")
+        with log.open("w") as stream:
+            ended = launch(arguments, environment(point.ranks), timeout, stream)
+        summary = _summary(output / SUMMARY)
+        said = log.read_text("utf-8", "replace")
+    status = TIMEOUT if ended.code is None else STATUS_OF_CODE.get(ended.code, CRASHED)
+    if status in (COMPLETED, UNSTABLE) and summary.get("status") != status:
+        status = CRASHED
+    errors = summary.get("errors") if status == COMPLETED else None
+    return {
+        "id": point.id, "repeat": repeat, "status": status, "message": _message(status, ended, said),
+        **{name: summary.get(name) for name in KEPT}, "errors": errors[-1] if errors else None,
+        "wall_seconds": ended.seconds, "peak_memory": ended.peak_memory, "timeout": timeout,
+        "finished": time.strftime("%Y-%m-%dT%H:%M:%S%z"), "machine": machine(),
+    }  # fmt: skip
+
+
+def _summary(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text("utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
+def _message(status: str, ended: Ended, said: str) -> str:
+    """Why a run did not complete: its own words, else how it ended."""
+    if status == COMPLETED:
+        return ""
+    if status == TIMEOUT:
+        return f"ended after {ended.seconds:.0f} s"
+    lines = [line.strip() for line in said.splitlines() if line.strip()]
+    own = [line.removeprefix("error: ") for line in lines if line.startswith("error: ")] or lines[-1:]
+    own = [line.removeprefix(f"{status}: ") for line in own]
+    code = ended.code or 0
+    how = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+    return escape("; ".join(own)[:500] or how) if status != CRASHED else escape("; ".join([how, *own])[:500])
+
+
+class Records:
+    """Every run in DIR/points.jsonl, a line each, forced to disk as it ends; of two lines for one run the later counts.
+
+    Raises
+    ------
+    OutputError
+        Another study is writing there, or the folder cannot be written.
+    """
+
+    def __init__(self, folder: Path, fresh: bool = False) -> None:
+        try:
+            self._file = (folder / POINTS).open("a+b")
+        except OSError as error:
+            raise OutputError(f"output folder {folder} cannot be used: {error.strerror or error}") from None
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            self._file.close()
+            raise OutputError(f"another study is writing to {folder}: wait for it, or name another --output") from None
+        except OSError:
+            pass  # a file system without locks
+        if fresh:
+            self._file.truncate(0)
+        self._runs: dict[str, dict[int, Record]] = {}
+        self._file.seek(0)
+        whole = 0
+        for line in self._file:
+            whole += len(line) if line.endswith(b"\n") else 0
+            record = _parse(line)
+            if record is not None:
+                self._runs.setdefault(record["id"], {})[record["repeat"]] = record
+        self._file.truncate(whole)  # what a power failure left of a last line
+
+    def of(self, point: Point) -> list[Record]:
+        """The runs of a point so far, by number of repeat, of any study in this folder."""
+        return [record for _, record in sorted(self._runs.get(point.id, {}).items())]
+
+    def add(self, record: Record) -> None:
+        """Keep a run."""
+        content = plain(record)
+        self._file.write((json.dumps(content, allow_nan=False, ensure_ascii=False) + "\n").encode())
+        self._file.flush()
+        os.fsync(self._file.fileno())
+        self._runs.setdefault(record["id"], {})[record["repeat"]] = content
+
+    def forget(self, points: Sequence[Point], timeout: float, statuses: Sequence[str] = ()) -> None:
+        """Let runs of these points be done again that ended so, or that were given less time than `timeout`."""
+        for point in points:
+            for record in self.of(point):
+                late = record["status"] == TIMEOUT and record["timeout"] < timeout
+                if late or record["status"] in statuses:
+                    del self._runs[point.id][record["repeat"]]
+
+    def close(self) -> None:
+        """Let others write."""
+        self._file.close()
+
+
+def _parse(line: bytes) -> Record | None:
+    try:
+        record = json.loads(line)
+    except ValueError:
+        return None
+    return record if isinstance(record, dict) and {"id", "status", "repeat"} <= set(record) else None
+
+
+def write_scenes(folder: Path, points: Sequence[Point]) -> None:
+    """A scene file for every point, to run it again by hand."""
+    (folder / SCENES).mkdir(parents=True, exist_ok=True)
+    for point in points:
+        launch_with = f"mpiexec -n {point.ranks} " if point.ranks > 1 else ""
+        header = f"# {escape(point.label)}: {launch_with}python -m mpipic run {SCENES}/{point.id}.toml\n"
+        with replacing(scene_file(folder, point)) as temporary:
+            temporary.write_text(header + point.scene.to_toml(), encoding="utf-8")
+
+
+def scene_file(folder: Path, point: Point) -> Path:
+    """Where the scene of a point is."""
+    return folder.absolute() / SCENES / f"{point.id}.toml"
+
+
+@cache
+def machine() -> dict[str, Any]:
+    """This machine: processor, whole cores and threads that this process may use, memory, system."""
+    facts: list[dict[str, str]] = [{}]
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            name, colon, value = line.partition(":")
+            if colon:
+                facts[-1][name.strip()] = value.strip()
+            elif facts[-1]:
+                facts.append({})
+    except OSError:
+        pass
+    threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    whole = len({(cpu.get("physical id"), cpu["core id"]) for cpu in facts if "core id" in cpu}) or threads
+    return {
+        "processor": facts[0].get("model name") or platform.processor() or platform.machine(),
+        "cores": min(whole, threads),
+        "threads": threads,
+        "memory_bytes": os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"),
+        "system": platform.platform(),
+        "host": platform.node(),
+    }
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """Within the block SIGTERM and SIGHUP act like Ctrl-C."""
+
+    def stop(number: int, frame: object) -> None:
+        raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, stop) for number in (signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
