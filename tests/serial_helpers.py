@@ -8,7 +8,7 @@ import numpy as np
 from mpi4py import MPI
 
 from dense_helpers import GRIDS, Dense, pattern
-from mpipic.filters.family import FILTERS
+from mpipic.filters import FILTERS
 from mpipic.mapping.sweep import Sweep
 from mpipic.mesh.grid import Grid
 from mpipic.particles.store import Particles

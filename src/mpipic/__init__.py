@@ -10,26 +10,26 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from mpipic.errors import NotConverged
-    from mpipic.filters.family import FILTERS, ChebyshevFilter, ExactFilter, LocalFilter, OrderFilter, SvdFilter
+    from mpipic.filters import FILTERS, ChebyshevFilter, ExactFilter, LocalFilter, OrderFilter, SvdFilter
     from mpipic.mapping.mapping import Mapping
     from mpipic.mesh.grid import Grid
-    from mpipic.particles.migration import Placement
+    from mpipic.particles.placement import Placement
     from mpipic.run.loop import Simulation
     from mpipic.scene.records import Scene, SceneError
 
 __version__ = "0.1.0"
 
 _HOMES = {
-    "FILTERS": "filters.family",
-    "ChebyshevFilter": "filters.family",
-    "ExactFilter": "filters.family",
-    "LocalFilter": "filters.family",
-    "OrderFilter": "filters.family",
-    "SvdFilter": "filters.family",
+    "FILTERS": "filters",
+    "ChebyshevFilter": "filters",
+    "ExactFilter": "filters",
+    "LocalFilter": "filters",
+    "OrderFilter": "filters",
+    "SvdFilter": "filters",
     "NotConverged": "errors",
     "Grid": "mesh.grid",
     "Mapping": "mapping.mapping",
-    "Placement": "particles.migration",
+    "Placement": "particles.placement",
     "Scene": "scene.records",
     "SceneError": "scene.records",
     "Simulation": "run.loop",

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mpipic.filters.family import ExactFilter
+from mpipic.filters import ExactFilter
 from mpipic.mapping.mapping import Mapping
 from mpipic.mesh.grid import Grid
 from mpipic.runtime import start

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from mpipic import Grid, LocalFilter, Mapping, Placement
-from mpipic.filters.family import ExactFilter, SvdFilter
+from mpipic.filters import ExactFilter, SvdFilter
 from mpipic.runtime import start
 
 COMM = start()

@@ -7,7 +7,7 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from dense_helpers import Dense, close
-from mpipic.filters.family import FILTERS
+from mpipic.filters import FILTERS
 from mpipic.mapping.mapping import Mapping
 from mpipic.physics.acoustics.formulation import Rates, symplectic
 from serial_helpers import by_id, divergence_sums, ghosted, gradient_sums, gram_matrix, grid_of, on_nodes, sweep_of

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dense_helpers import GRIDS, PATTERNS, Dense, close, pattern
-from mpipic.filters.family import ExactFilter, LocalFilter, OrderFilter, SvdFilter
+from mpipic.filters import ExactFilter, LocalFilter, OrderFilter, SvdFilter
 from mpipic.mapping.mapping import Mapping
 from serial_helpers import case, grid_of, make, on_nodes, values
 

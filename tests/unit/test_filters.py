@@ -5,7 +5,7 @@ import pytest
 
 from covering_helpers import covering
 from dense_helpers import GRIDS, PATTERNS, Dense, close, pattern
-from mpipic.filters.family import FILTERS, Filter, LocalFilter, NodalFilter
+from mpipic.filters import FILTERS, Filter, LocalFilter, NodalFilter
 from mpipic.mapping.mapping import Mapping
 from serial_helpers import allowed, ghosted, grid_of, make, on_nodes, sweep_of
 

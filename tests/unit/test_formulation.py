@@ -10,7 +10,7 @@ import pytest
 
 from covering_helpers import covering
 from dense_helpers import Dense, close, pattern, run_euler
-from mpipic.filters.family import FILTERS
+from mpipic.filters import FILTERS
 from mpipic.mapping.mapping import Mapping
 from mpipic.physics.acoustics.formulation import (
     OnParticles,

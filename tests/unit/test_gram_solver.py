@@ -6,7 +6,7 @@ from petsc4py import PETSc
 
 from dense_helpers import GRIDS, PATTERNS, Dense, close, pattern
 from mpipic.errors import NotConverged
-from mpipic.filters.family import ExactFilter
+from mpipic.filters import ExactFilter
 from mpipic.mapping.mapping import Mapping
 from mpipic.mapping.solver import GramSolver
 from serial_helpers import case, ghosted, grid_of, on_nodes, values

@@ -8,7 +8,8 @@ from mpi4py import MPI
 
 import mpipic
 from dense_helpers import Dense, close, pattern
-from mpipic.particles.migration import Placement, Routes, migrate
+from mpipic.particles.migration import Routes, migrate
+from mpipic.particles.placement import Placement
 from serial_helpers import by_id, grid_of, on_nodes, particles_of
 
 BOXES = {1: ((6,), (1.2,)), 2: ((4, 5), (1.0, 2.0)), 3: ((3, 2, 4), (1.0, 2.0, 0.5))}

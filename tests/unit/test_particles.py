@@ -5,7 +5,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from mpipic.particles.store import LAYOUTS, Particles, locate, share, uniform
+from mpipic.particles.layouts import LAYOUTS, share, uniform
+from mpipic.particles.store import Particles, locate
 from serial_helpers import grid_of
 
 BOXES = {1: ((10,), (1.0,)), 2: ((4, 5), (1.0, 2.0)), 3: ((3, 2, 4), (1.0, 2.0, 0.5))}

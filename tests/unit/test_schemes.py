@@ -10,7 +10,7 @@ import pytest
 from mpi4py import MPI
 
 from dense_helpers import close, pattern
-from mpipic.filters.family import FILTERS
+from mpipic.filters import FILTERS
 from mpipic.mapping.mapping import Mapping
 from mpipic.mapping.mass import LeastSquaresMass, LumpedMass
 from mpipic.mesh.differences import CentralDifference, LowPass

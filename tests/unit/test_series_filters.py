@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dense_helpers import GRIDS, Dense, close, pattern
-from mpipic.filters.family import ChebyshevFilter, LocalFilter, OrderFilter, create
+from mpipic.filters import ChebyshevFilter, LocalFilter, OrderFilter, create
 from mpipic.mapping.mapping import Mapping
 from mpipic.scene.records import Scene
 from serial_helpers import grid_of

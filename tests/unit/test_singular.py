@@ -9,8 +9,8 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from dense_helpers import GRIDS, PATTERNS, Dense, close, pattern
+from mpipic.filters import ExactFilter, SvdFilter
 from mpipic.filters import row_space as singular
-from mpipic.filters.family import ExactFilter, SvdFilter
 from mpipic.filters.row_space import RowSpace, TooLarge, available_bytes, bytes_needed, check_memory, describe
 from mpipic.mapping.mapping import Mapping
 from serial_helpers import grid_of, values
@@ -171,7 +171,7 @@ PROGRAM = """
 import sys
 import numpy as np
 from mpi4py import MPI
-from mpipic.filters.family import FILTERS, ExactFilter, LocalFilter
+from mpipic.filters import FILTERS, ExactFilter, LocalFilter
 from mpipic.mesh.grid import Grid
 from mpipic.mapping.mapping import Mapping
 mapping = Mapping(Grid((4,), (1.0,), MPI.COMM_SELF), np.linspace(0.05, 0.95, 9)[:, None])

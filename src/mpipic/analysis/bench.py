@@ -19,7 +19,7 @@ import numpy as np
 from mpi4py import MPI
 
 from mpipic.console import Console
-from mpipic.io.run_directory import plain, replacing
+from mpipic.files import plain, replacing
 from mpipic.kernels.common import hot
 from mpipic.phases import Phases
 from mpipic.run.loop import Simulation

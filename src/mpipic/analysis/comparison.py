@@ -14,13 +14,13 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from mpipic import filters
 from mpipic.analysis.filter_choice import Choice, svd_is_quick
+from mpipic.arrays import FloatArray, IntArray
 from mpipic.console import Console
-from mpipic.filters import family as filters
-from mpipic.io.run_directory import plain, replacing
+from mpipic.files import plain, replacing
 from mpipic.mapping.mapping import Mapping
-from mpipic.mesh.grid import FloatArray, Grid
-from mpipic.particles.store import IntArray
+from mpipic.mesh.grid import Grid
 from mpipic.run.loop import check_filter, populate, solution_of
 from mpipic.run.verb import versions
 from mpipic.scene.records import Scene

@@ -18,12 +18,13 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from mpipic.analysis.recurrence import Recurrence, find
+from mpipic.arrays import FloatArray
 from mpipic.console import Console
 from mpipic.errors import NotConverged
-from mpipic.filters.family import ExactFilter
-from mpipic.io.run_directory import RunDirectory, plain, replacing
+from mpipic.files import plain, replacing
+from mpipic.filters import ExactFilter
+from mpipic.io.run_directory import RunDirectory
 from mpipic.mapping.mapping import Mapping
-from mpipic.mesh.grid import FloatArray
 from mpipic.particles.migration import Routes
 from mpipic.run.loop import Simulation
 from mpipic.run.verb import versions

@@ -18,7 +18,7 @@ from mpipic.analysis.growth import analyse
 from mpipic.analysis.recurrence import nearest_flows
 from mpipic.console import Console
 from mpipic.errors import NotConverged
-from mpipic.io.run_directory import replacing
+from mpipic.files import replacing
 from mpipic.scene.records import Problem, Scene, SceneError
 
 BORDER = 1e-6

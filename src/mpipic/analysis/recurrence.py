@@ -7,7 +7,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from mpipic.particles.store import IntArray
+from mpipic.arrays import IntArray
 from mpipic.scene.records import Problem, Scene, SceneError
 
 EXACT = 1e-9

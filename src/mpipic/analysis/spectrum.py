@@ -17,12 +17,13 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
+from mpipic import filters
 from mpipic.analysis.filter_choice import Choice
+from mpipic.arrays import FloatArray
 from mpipic.console import Console
-from mpipic.filters import family as filters
-from mpipic.io.run_directory import replacing
+from mpipic.files import replacing
 from mpipic.mapping.mapping import Mapping
-from mpipic.mesh.grid import FloatArray, Grid
+from mpipic.mesh.grid import Grid
 from mpipic.run.loop import check_filter, populate, solution_of
 from mpipic.scene.records import Scene
 

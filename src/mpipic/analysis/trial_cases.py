@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from mpipic.mesh.grid import FloatArray, Grid
+from mpipic.arrays import FloatArray
+from mpipic.mesh.grid import Grid
 from mpipic.scene.presets import PRESETS
 
 Place = Callable[[Grid, np.random.Generator], FloatArray]

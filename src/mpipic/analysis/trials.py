@@ -19,10 +19,10 @@ from mpi4py import MPI
 
 from mpipic.analysis.growth import analyse
 from mpipic.analysis.trial_cases import CASES, Case
+from mpipic.arrays import FloatArray
 from mpipic.console import Console
 from mpipic.errors import NotConverged
-from mpipic.io.run_directory import plain, replacing
-from mpipic.mesh.grid import FloatArray
+from mpipic.files import plain, replacing
 from mpipic.run.diagnostics import ErrorReport, measure
 from mpipic.run.loop import Simulation
 from mpipic.run.verb import versions

@@ -18,9 +18,9 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from mpipic.arrays import FloatArray
 from mpipic.errors import NotConverged
 from mpipic.kernels import spline
-from mpipic.mesh.grid import FloatArray
 
 if TYPE_CHECKING:
     from mpipic.mapping.mapping import Mapping

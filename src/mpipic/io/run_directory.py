@@ -7,7 +7,6 @@ h5py is imported by `ParticleSeries` alone, so that a run without snapshots neve
 from __future__ import annotations
 
 import csv
-import dataclasses
 import io
 import json
 import math
@@ -23,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from mpipic.errors import Refused
+from mpipic.files import plain, replacing, sync
 from mpipic.io import openpmd
 
 SCENE, SUMMARY, HISTORY = "scene.toml", "summary.json", "history.csv"
@@ -40,27 +40,6 @@ ARRIVAL_SECONDS = 2.0
 
 class OutputError(Refused):
     """Output that cannot be written, with the path and the reason; raised on all ranks together."""
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """Yield a temporary name beside `path`; on success force it to disk and rename it, else remove it. Local."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        yield temporary
-        sync(temporary)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def sync(path: Path) -> None:
-    """Force the content of a file to disk."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 class RunDirectory:
@@ -123,21 +102,6 @@ class RunDirectory:
     def _write(self, name: str, content: str) -> None:
         with replacing(self.path / name) as temporary:
             temporary.write_text(content, encoding="utf-8")
-
-
-def plain(value: Any) -> Any:
-    """Turn records, NumPy values and paths into what JSON can hold; numbers that are not finite become None."""
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {item.name: plain(getattr(value, item.name)) for item in dataclasses.fields(value)}
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
-    if isinstance(value, (np.generic, np.ndarray)):
-        return plain(value.tolist())
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return str(value) if isinstance(value, Path) else value
 
 
 def _cell(value: Any) -> str:

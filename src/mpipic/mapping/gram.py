@@ -13,9 +13,10 @@ from typing import Any, Protocol
 import numpy as np
 from petsc4py import PETSc
 
+from mpipic.arrays import FloatArray
 from mpipic.kernels import stencil
 from mpipic.mesh.basis import REACH
-from mpipic.mesh.grid import FloatArray, Grid
+from mpipic.mesh.grid import Grid
 from mpipic.mesh.halo import Halo, PaddedColumns
 
 SHIFT = 1e-15

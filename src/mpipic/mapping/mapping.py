@@ -12,9 +12,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from mpipic.arrays import FloatArray, IntArray, columns_of
 from mpipic.kernels import BY_DIMENSION, generic, spline, stencil
-from mpipic.mesh.grid import FloatArray, Grid, columns_of, raise_together
-from mpipic.particles.store import IntArray, Particles, locate
+from mpipic.mesh.grid import Grid, raise_together
+from mpipic.particles.store import Particles, locate
 
 
 class NodalMapping(ABC):

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mpipic.arrays import FloatArray
 from mpipic.mapping.mapping import NodalMapping
-from mpipic.mesh.grid import FloatArray
 
 if TYPE_CHECKING:
     from mpipic.mapping.gram import Penalty

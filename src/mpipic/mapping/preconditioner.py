@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from petsc4py import PETSc
 
+from mpipic.arrays import FloatArray
 from mpipic.kernels import stencil
 from mpipic.mapping.gram import GramStencil
-from mpipic.mesh.grid import FloatArray
 from mpipic.mesh.halo import Halo, PaddedColumns
 
 REACH = {1: 2, 2: 5, 3: 8}

@@ -14,11 +14,11 @@ from typing import NamedTuple
 import numpy as np
 from petsc4py import PETSc
 
+from mpipic.arrays import FloatArray
 from mpipic.errors import NotConverged
 from mpipic.kernels import stencil
 from mpipic.mapping.gram import GramMatrix, GramStencil, Penalty
 from mpipic.mapping.preconditioner import TensorPreconditioner
-from mpipic.mesh.grid import FloatArray
 from mpipic.mesh.petsc_objects import close_at_exit
 
 EARLIER = 2

@@ -12,11 +12,12 @@ from typing import ClassVar
 
 import numpy as np
 
+from mpipic.arrays import FloatArray, IntArray
 from mpipic.kernels import BY_DIMENSION, blocks, generic, spline
 from mpipic.mapping.mapping import NodalMapping
-from mpipic.mesh.grid import FloatArray, Grid
+from mpipic.mesh.grid import Grid
 from mpipic.particles import migration
-from mpipic.particles.store import IntArray, Particles, locate
+from mpipic.particles.store import Particles, locate
 
 
 class ParticleSweep(NodalMapping):

@@ -9,8 +9,9 @@ from math import comb, factorial
 
 import numpy as np
 
+from mpipic.arrays import FloatArray
 from mpipic.kernels import stencil
-from mpipic.mesh.grid import FloatArray, Grid
+from mpipic.mesh.grid import Grid
 from mpipic.mesh.halo import Halo, PaddedColumns
 
 

@@ -21,20 +21,13 @@ import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from mpipic.arrays import FloatArray
 from mpipic.mesh.basis import DEGREES, REACH
 from mpipic.mesh.decomposition import process_grid
-from mpipic.mesh.halo import FloatArray, Halo
-
-__all__ = ["ON_NODE", "FloatArray", "Grid", "columns_of", "raise_together"]
+from mpipic.mesh.halo import Halo
 
 ON_NODE = 1e-10
 """A particle within this many cells of a node counts as on it, so that rounding never decides the side."""
-
-
-def columns_of(values: npt.ArrayLike) -> FloatArray:
-    """Values (n,) or (n, k) as a C-contiguous array (n, k), copied only where they are not one."""
-    array = np.asarray(values, dtype=np.float64)
-    return np.ascontiguousarray(array if array.ndim == 2 else array[:, None])
 
 
 def raise_together(comm: MPI.Comm, problem: str | None) -> None:

@@ -14,7 +14,8 @@ import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
-FloatArray = npt.NDArray[np.float64]
+from mpipic.arrays import FloatArray
+
 Exchange = Callable[[MPI.Datatype, FloatArray, FloatArray, MPI.Op], None]
 
 

@@ -17,8 +17,9 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from mpipic.mesh.grid import FloatArray, Grid, columns_of, raise_together
-from mpipic.particles.store import IntArray, Particles
+from mpipic.arrays import FloatArray, IntArray
+from mpipic.mesh.grid import Grid
+from mpipic.particles.store import Particles
 
 
 class LostParticles(RuntimeError):
@@ -158,52 +159,3 @@ def migrate(particles: Particles, routes: Routes, leaving: IntArray) -> int:
     if particles.count != before - len(leaving) + int(delivery.incoming.sum()):
         raise LostParticles(f"rank {grid.rank} has {particles.count} particles, not those it had, less sent, plus come")
     return len(arrived)
-
-
-class Placement:
-    """Particles of another code, held by any rank, brought to the ranks that own their cells, and values sent back.
-
-    Parameters
-    ----------
-    grid
-        The grid that will map them.
-    position : (n, d)
-        This rank's block of positions, in the box [0, length); any rank may hold any particle.
-
-    Attributes
-    ----------
-    position : (m, d)
-        Positions of the particles that this rank's cells hold; `to_owners` gives values in the same order.
-
-    Raises
-    ------
-    ValueError
-        A position is not finite or outside the box; names the first. Raised on all ranks together.
-
-    Notes
-    -----
-    Collective, with messages to all ranks that hold particles of each other's cells.
-    """
-
-    def __init__(self, grid: Grid, position: FloatArray) -> None:
-        position = np.asarray(position, dtype=np.float64).reshape(-1, grid.dim)
-        bad = ~((position >= 0) & (position < np.array(grid.length))).all(axis=1)
-        problem = None
-        if bad.any():
-            first = int(np.argmax(bad))
-            problem = f"position {first} = {position[first].tolist()} is outside the box, 0 <= x < {grid.length}"
-        raise_together(grid.comm, problem)
-        self._routes = Routes(grid)
-        self._owner = grid.owner_of(grid.coordinate_of(position))
-        self._delivery = self._routes.exchange(position, self._owner)
-        self.position = self._delivery.rows
-
-    def to_owners(self, values: FloatArray) -> FloatArray:
-        """Values (n,) or (n, k) of this rank's block, as (m,) or (m, k) in the order of `position`. Collective."""
-        rows = self._routes.exchange(columns_of(values), self._owner).rows
-        return rows.reshape((-1, *np.shape(values)[1:]))
-
-    def to_callers(self, values: FloatArray) -> FloatArray:
-        """The way back: values (m,) or (m, k) in the order of `position`, as (n,) or (n, k). Collective."""
-        rows = self._routes.give_back(columns_of(values), self._delivery)
-        return rows.reshape((-1, *np.shape(values)[1:]))

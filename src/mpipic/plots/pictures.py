@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mpipic.io.run_directory import replacing
+from mpipic.files import replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from mpipic.filters import family as filters
-from mpipic.filters.family import ExactFilter, Filter, NodalFilter
+from mpipic import filters
+from mpipic.filters import ExactFilter, Filter, NodalFilter
 from mpipic.mapping import sweep
 from mpipic.mapping.mapping import Mapping, NodalMapping
 from mpipic.mapping.sweep import ParticleSweep

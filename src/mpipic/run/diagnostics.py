@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
+from mpipic.arrays import FloatArray
 from mpipic.errors import NotConverged
-from mpipic.mesh.grid import FloatArray, Grid
+from mpipic.mesh.grid import Grid
 from mpipic.particles.store import Particles
 
 Exact = Callable[[FloatArray, float], tuple[FloatArray, FloatArray]]
@@ -87,7 +88,7 @@ def null_space_fraction(grid: Grid, particles: Particles) -> float | None:
     0 for a gradient that vanishes; None where the projection P did not converge or the gradient is not finite.
     Collective; costs about a step with the exact filter, and its memory.
     """
-    from mpipic.filters.family import ExactFilter
+    from mpipic.filters import ExactFilter
     from mpipic.mapping.mapping import Mapping
 
     mapping = Mapping.at(grid, particles)

@@ -11,9 +11,11 @@ from typing import Protocol
 import numpy as np
 from mpi4py import MPI
 
-from mpipic.mesh.grid import FloatArray, Grid
+from mpipic.arrays import FloatArray, IntArray
+from mpipic.mesh.grid import Grid
+from mpipic.particles.layouts import LAYOUTS, share
 from mpipic.particles.migration import LostParticles, Routes
-from mpipic.particles.store import LAYOUTS, IntArray, Particles, share
+from mpipic.particles.store import Particles
 from mpipic.phases import Phases
 from mpipic.physics.acoustics import solutions as exact
 from mpipic.run.build import build_step, build_sweep

@@ -9,7 +9,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from mpipic.io.run_directory import replacing
+from mpipic.files import replacing
 from mpipic.scene.text import write_toml
 from mpipic.study.file import Study
 from mpipic.study.points import differing

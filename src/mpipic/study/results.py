@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from mpipic.io.run_directory import plain, replacing
+from mpipic.files import plain, replacing
 from mpipic.scene.records import Scene
 from mpipic.scene.text import show
 from mpipic.study.file import NORMS, QUANTITIES, Study

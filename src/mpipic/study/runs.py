@@ -23,7 +23,8 @@ from functools import cache
 from pathlib import Path
 from typing import IO, Any
 
-from mpipic.io.run_directory import SUMMARY, OutputError, plain, replacing
+from mpipic.files import plain, replacing
+from mpipic.io.run_directory import SUMMARY, OutputError
 from mpipic.runtime import RANKS
 from mpipic.scene.text import escape
 from mpipic.study.points import Point

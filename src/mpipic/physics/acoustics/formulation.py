@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from mpipic.filters import family as filters
-from mpipic.filters.family import Filter, NodalFilter
+from mpipic import filters
+from mpipic.arrays import FloatArray
+from mpipic.filters import Filter, NodalFilter
 from mpipic.mapping.mapping import Mapping
 from mpipic.mapping.sweep import ParticleSweep
-from mpipic.mesh.grid import FloatArray
 
 Update = Callable[[FloatArray], None]
 """Changes particle values (n, 1 + d) in place."""

@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from mpi4py import MPI
 
-from mpipic.mesh.grid import FloatArray, Grid
+from mpipic.arrays import FloatArray
+from mpipic.mesh.grid import Grid
 from mpipic.physics.acoustics.slopes import Rate
 
 State = FloatArray

@@ -14,8 +14,8 @@ from weakref import ref
 import numpy as np
 from petsc4py import PETSc
 
+from mpipic.arrays import FloatArray
 from mpipic.errors import NotConverged
-from mpipic.mesh.grid import FloatArray
 from mpipic.mesh.petsc_objects import close_at_exit
 from mpipic.physics.acoustics.integrators import Rates, State, Step
 

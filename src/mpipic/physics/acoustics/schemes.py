@@ -20,12 +20,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mpipic.filters.family import Filter
+from mpipic.arrays import FloatArray
+from mpipic.filters import Filter
 from mpipic.mapping.mapping import Mapping
 from mpipic.mapping.mass import Mass
 from mpipic.mapping.sweep import ParticleSweep
 from mpipic.mesh.differences import CentralDifference, LowPass
-from mpipic.mesh.grid import FloatArray
 from mpipic.physics.acoustics.integrators import Integrator, Rates, State
 from mpipic.physics.acoustics.slopes import Rate, Slopes
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import NamedTuple
 
-from mpipic.filters.family import NodalFilter
+from mpipic.arrays import FloatArray
+from mpipic.filters import NodalFilter
 from mpipic.mapping.mapping import NodalMapping
 from mpipic.mapping.mass import Mass
 from mpipic.mapping.sweep import ParticleSweep, SplineSweep
 from mpipic.mesh.differences import CentralDifference
-from mpipic.mesh.grid import FloatArray
 
 
 class Rate(NamedTuple):
