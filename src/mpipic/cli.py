@@ -115,9 +115,9 @@ def run(
     with _stating(comm):
         loaded = _load(scene, set_, comm, preset)
         from mpipic.console import Console
-        from mpipic.run import verb as runner
+        from mpipic.run import verb
 
-        code = runner.run(loaded, comm, output, overwrite, Console(comm, quiet), plots)
+        code = verb.run(loaded, comm, output, overwrite, Console(comm, quiet), plots)
     raise typer.Exit(code)
 
 
@@ -128,13 +128,13 @@ def check(scene: SceneFile = None, set_: Overrides = None, preset: Preset = None
     with _stating(comm):
         loaded = _load(scene, set_, comm, preset)
         from mpipic.console import Console
-        from mpipic.run import describe as advice
+        from mpipic.run.describe import describe
         from mpipic.run.loop import check_filter, solution_of
 
         solution_of(loaded)
         _check_particle_file(loaded, comm)
         check_filter(loaded, loaded.particle_count or 0, comm)
-        Console(comm).banner(advice.describe(loaded, comm))
+        Console(comm).banner(describe(loaded, comm))
 
 
 FilterNames = Annotated[
@@ -238,26 +238,25 @@ def stability(
     comm = start()
     with _stating(comm):
         loaded = _load(scene, set_, comm, preset)
-        from mpipic.analysis import growth as verb
-        from mpipic.analysis import growth_map as stability_map
+        from mpipic.analysis import growth, growth_map
         from mpipic.analysis.filter_choice import choose
         from mpipic.console import Console
         from mpipic.io.run_directory import RunDirectory
 
         if maps:
-            axes = [stability_map.parse_axis(text) for text in maps]
+            axes = [growth_map.parse_axis(text) for text in maps]
             own = loaded.filter.kind
             choices = choose(names or [own], loaded, loaded.particle_count or 0, unfiltered=True)
             folder = output or RunDirectory.default(f"{loaded.name}-stability", comm)
-            stability_map.run(loaded, axes, choices, comm, Console(comm), folder, max_period)
+            growth_map.run(loaded, axes, choices, comm, Console(comm), folder, max_period)
         else:
             if round_flow:
-                loaded = stability_map.with_flow(loaded, max_period)
-            verb.run(loaded, comm, Console(comm), output, max_period)
+                loaded = growth_map.with_flow(loaded, max_period)
+            growth.run(loaded, comm, Console(comm), output, max_period)
 
 
 @app.command()
-def stress(
+def trials(
     short: Annotated[bool, typer.Option("--short", help="Only the cases that take no time.")] = False,
     only: Annotated[list[str] | None, typer.Option(help="Cases whose name contains this; repeatable.")] = None,
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Write the table as JSON too.")] = None,

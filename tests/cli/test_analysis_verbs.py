@@ -1,4 +1,4 @@
-"""The verbs spectrum, filters, stability and stress as users call them."""
+"""The verbs spectrum, filters, stability and trials as users call them."""
 
 import csv
 import json
@@ -98,9 +98,9 @@ def test_a_stability_map_has_a_point_for_every_value_and_filter(tmp_path):
 
 
 @pytest.mark.parametrize("ranks", [1, 2])
-def test_the_short_stress_suite_is_all_good(tmp_path, ranks):
-    file = tmp_path / "stress.json"
-    done = mpipic("stress", "--short", "-o", file, ranks=ranks, timeout=200)
+def test_the_short_trials_are_all_good(tmp_path, ranks):
+    file = tmp_path / "trials.json"
+    done = mpipic("trials", "--short", "-o", file, ranks=ranks, timeout=200)
     cases = json.loads(file.read_text())["cases"]
     assert [case["case"] for case in cases if case["verdict"] != "good"] == []
     assert done.returncode == 0 and len(cases) >= 12

@@ -1,4 +1,4 @@
-"""What each rank runs for `test_stability_ranks.py`: python stability_helpers.py FILE; rank 0 writes it as JSON.
+"""What each rank runs for `test_growth_ranks.py`: python growth_helpers.py FILE; rank 0 writes it as JSON.
 
 The growth of the same scenes on any number of ranks, with M written out and by Krylov's method.
 """
@@ -10,12 +10,12 @@ import sys
 from dataclasses import asdict
 from pathlib import Path
 
-from mpipic.analysis import growth as stability
+from mpipic.analysis import growth
 from mpipic.runtime import start
 from mpipic.scene.records import Scene
 
 COMM = start()
-DENSE = stability.DENSE
+DENSE = growth.DENSE
 CASES = {
     "1d-paper-random": ("paper", [8], "random", [2], [1.0], 0.5),
     "1d-paper-lattice": ("paper", [10], "lattice", [2], [0.5], 0.25),
@@ -39,8 +39,8 @@ def main(file: Path) -> None:
     results = {}
     for name in CASES:
         for solver, dense in (("lapack", DENSE), ("krylovschur", 0)):
-            stability.DENSE = dense
-            found = asdict(stability.analyse(scene(name), COMM, 100))
+            growth.DENSE = dense
+            found = asdict(growth.analyse(scene(name), COMM, 100))
             assert found["solver"] == solver
             results[f"{name} {solver}"] = [{**found, "ranks": COMM.size}, *COMM.allgather(found)]
     if COMM.rank == 0:

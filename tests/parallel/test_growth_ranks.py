@@ -11,7 +11,7 @@ import pytest
 
 from helpers import run_ranks
 
-HELPERS = Path(__file__).with_name("stability_helpers.py")
+HELPERS = Path(__file__).with_name("growth_helpers.py")
 CASES = ("1d-paper-random", "1d-paper-lattice", "1d-recommended-random", "2d-paper-jittered")
 GROWS = [name for name in CASES if "paper" in name]
 
@@ -27,7 +27,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int, str, str
 
     def result(ranks: int, case: str, solver: str) -> Found:
         if ranks not in said:
-            file = tmp_path_factory.mktemp("stability") / f"{ranks}.json"
+            file = tmp_path_factory.mktemp("growth") / f"{ranks}.json"
             ended = run_ranks(ranks, HELPERS, str(file), timeout=240)
             said[ranks] = ended.stdout + ended.stderr
             assert ended.returncode == 0, said[ranks]

@@ -14,8 +14,8 @@ import pytest
 
 from helpers import run_ranks
 
-HELPERS = Path(__file__).with_name("output_helpers.py")
-_spec = importlib.util.spec_from_file_location("output_helpers", HELPERS)
+HELPERS = Path(__file__).with_name("io_helpers.py")
+_spec = importlib.util.spec_from_file_location("io_helpers", HELPERS)
 expected = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(expected)
 

@@ -8,7 +8,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from dense_helpers import Dense, close
-from mpipic.analysis import growth as stability
+from mpipic.analysis import growth as growth_module
 from mpipic.analysis.growth import Monodromy, analyse
 from mpipic.analysis.growth_map import parse_axis, with_flow, with_value
 from mpipic.analysis.recurrence import Recurrence, find, nearest_flows
@@ -100,7 +100,7 @@ BOTH_WAYS = {
 def test_krylov_finds_what_lapack_finds(monkeypatch, name):
     made, grows = BOTH_WAYS[name]
     dense = analyse(made, COMM, 100)
-    monkeypatch.setattr(stability, "DENSE", 0)
+    monkeypatch.setattr(growth_module, "DENSE", 0)
     krylov = analyse(made, COMM, 100)
     assert (dense.solver, krylov.solver) == ("lapack", "krylovschur")
     assert (dense.growth_per_step > 1e-5) == grows

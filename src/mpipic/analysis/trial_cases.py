@@ -1,4 +1,4 @@
-"""The cases of the verb `stress`: scenes, what is done to their particles, and what may come of them."""
+"""The cases of the verb `trials`: scenes, what is done to their particles, and what may come of them."""
 
 from __future__ import annotations
 

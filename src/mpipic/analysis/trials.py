@@ -1,4 +1,4 @@
-"""The verb `stress`: stiff and extreme cases, each run and judged.
+"""The verb `trials`: stiff and extreme cases, each run and judged.
 
 The rule for every case: a right answer, or a stated `unstable`, or a refusal with a reason; never a number that is not
 finite, never a wrong number called completed. Where a growth rate can be computed, the run must bear it out.
