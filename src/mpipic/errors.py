@@ -5,5 +5,9 @@ class Refused(Exception):
     """Input that cannot be used or output that cannot be written; the message says which, and why."""
 
 
+class OutputError(Refused):
+    """Output that cannot be written, with the path and the reason; raised on all ranks together."""
+
+
 class NotConverged(ArithmeticError):
     """A solver missed its tolerance; the message names what it reached, and after how many iterations."""

@@ -1,16 +1,40 @@
-"""Files that appear whole or not at all, and values as JSON can hold them."""
+"""Files, read whole, and written so that they appear whole or not at all; values as JSON and CSV can hold them.
+
+NumPy values are known by what they can do: a program that only reads a scene does not import NumPy.
+"""
 
 from __future__ import annotations
 
+import csv
 import dataclasses
+import io
+import json
 import math
+import numbers
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
-import numpy as np
+
+class Unreadable(Exception):
+    """A file that cannot be read, or is no text; the message says why, as the end of a sentence about the file."""
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a file in UTF-8, without the mark that some editors put before it.
+
+    Raises
+    ------
+    Unreadable
+        The file is not there, may not be read, or holds something else than UTF-8.
+    """
+    try:
+        return path.read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise Unreadable(f"not a text file in UTF-8 (byte {error.start})") from None
+    except (OSError, ValueError) as error:
+        raise Unreadable(f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
 
 
 @contextmanager
@@ -34,7 +58,32 @@ def sync(path: Path) -> None:
         os.close(descriptor)
 
 
-def plain(value: Any) -> Any:
+def write_text(path: Path, text: str) -> None:
+    """Write a text file whole, in UTF-8 with the line ends that `text` has, replacing an old one. Local."""
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8", newline="")
+
+
+def write_json(path: Path, value: object) -> None:
+    """Write a value as strict, indented JSON: what is not finite becomes null, records become objects. Local."""
+    write_text(path, to_json(value, indent=2) + "\n")
+
+
+def write_csv(path: Path, header: Sequence[str], rows: Iterable[Iterable[object]]) -> None:
+    """Write a header and rows as CSV: None is an empty cell, floats read back to the same bits. Local."""
+    stream = io.StringIO()
+    table = csv.writer(stream, lineterminator="\n")
+    table.writerow(header)
+    table.writerows([_cell(value) for value in row] for row in rows)
+    write_text(path, stream.getvalue())
+
+
+def to_json(value: object, indent: int | None = None) -> str:
+    """Return a value as strict JSON, on one line unless indented; what is not finite becomes null."""
+    return json.dumps(plain(value), indent=indent, allow_nan=False, ensure_ascii=False)
+
+
+def plain(value: object) -> object:
     """Turn records, NumPy values and paths into what JSON can hold; numbers that are not finite become None."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {item.name: plain(getattr(value, item.name)) for item in dataclasses.fields(value)}
@@ -42,8 +91,16 @@ def plain(value: Any) -> Any:
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         return [plain(item) for item in value]
-    if isinstance(value, (np.generic, np.ndarray)):
+    if hasattr(value, "tolist"):
         return plain(value.tolist())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return str(value) if isinstance(value, Path) else value
+
+
+def _cell(value: object) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, numbers.Real) and not isinstance(value, numbers.Integral):
+        return repr(float(value))
+    return str(value)

@@ -14,10 +14,11 @@ from unittest import mock
 import numpy as np
 from mpi4py import MPI
 
-from mpipic.io import hdf5
-from mpipic.io import run_directory as output
+from mpipic.errors import OutputError
+from mpipic.io import hdf5, snapshots
 from mpipic.io.particle_file import ParticleFileError, read_particle_file
-from mpipic.io.run_directory import OutputError, ParticleSeries, RunDirectory
+from mpipic.io.run_directory import RunDirectory
+from mpipic.io.snapshots import ParticleSeries
 from mpipic.plots.pictures import gather_sample
 
 COMM = MPI.COMM_WORLD
@@ -94,7 +95,7 @@ def case_write(folder: Path) -> None:
 
 def case_funnel(folder: Path) -> None:
     """The same through rank 0, in pieces of a few rows."""
-    with mock.patch.object(hdf5, "has_mpi", lambda: False), mock.patch.object(output, "PIECE_BYTES", 400):
+    with mock.patch.object(hdf5, "has_mpi", lambda: False), mock.patch.object(snapshots, "PIECE_BYTES", 400):
         case_write(folder)
 
 
@@ -107,7 +108,7 @@ def case_failure(folder: Path) -> None:
         def failing(*args: object, **kwargs: object) -> None:
             place(*args, **kwargs)
             calls.append(1)
-            if len(calls) == 4 and COMM.rank == (COMM.size - 1 if series._collective else 0):
+            if len(calls) == 4 and COMM.rank == (COMM.size - 1 if series.collective else 0):
                 raise OSError("disk full")
 
         with mock.patch.object(hdf5, "write_block", failing):
@@ -148,7 +149,7 @@ def case_interrupt(folder: Path) -> None:
         pass
     COMM.Barrier()
     assert (folder / "1.h5").exists() and not (folder / "1.h5.part").exists()
-    output.ARRIVAL_SECONDS = 0.2
+    snapshots.ARRIVAL_SECONDS = 0.2
     try:
         with ParticleSeries(folder / "2.h5", COMM) as series:
             write_step(series, 0, 1)

@@ -5,7 +5,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from mpipic.particles.layouts import LAYOUTS, share, uniform
+from mpipic.draws import uniform
+from mpipic.particles.layouts import LAYOUTS, share
 from mpipic.particles.store import Particles, locate
 from serial_helpers import grid_of
 

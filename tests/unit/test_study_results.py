@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mpipic.files import write_json
 from mpipic.plots.pictures import draw_work_precision
 from mpipic.scene.records import SceneError
 from mpipic.study.file import Study, load
 from mpipic.study.pareto import cheapest, fit_order, front, most_accurate
-from mpipic.study.results import content, floor, marks, orders, sum_up, write_csv, write_json
+from mpipic.study.results import content, floor, marks, orders, sum_up, write_table
 from mpipic.study.verb import parse_aims, recommend, report
 
 NASTY = '<script>alert("1")</script> & $x^$ \\"'
@@ -176,7 +177,7 @@ def facts() -> dict[str, Any]:
 
 def test_csv_has_a_row_a_point_with_axes_and_numbers(tmp_path: Path) -> None:
     study = study_of(tmp_path, NASTY)
-    write_csv(tmp_path / "study.csv", study, sum_up(study, made_up(study)))
+    write_table(tmp_path / "study.csv", study, sum_up(study, made_up(study)))
     with (tmp_path / "study.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert [row["grid.cells"] for row in rows] == ["[8]", "[16]", "[32]", "[64]"] * 2

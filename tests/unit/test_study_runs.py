@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from mpipic.io.run_directory import OutputError
+from mpipic.errors import OutputError
 from mpipic.study import runs as study_runs
 from mpipic.study.file import Study, load
 from mpipic.study.runs import Records, command, environment, launch, run_once, scene_file, write_scenes

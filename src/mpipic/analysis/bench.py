@@ -7,10 +7,9 @@ ranks between the same samples. `Sweep` touches particles once, 32 d + 16 bytes,
 
 from __future__ import annotations
 
-import json
 import statistics
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -19,7 +18,7 @@ import numpy as np
 from mpi4py import MPI
 
 from mpipic.console import Console
-from mpipic.files import plain, replacing
+from mpipic.files import write_json
 from mpipic.kernels.common import hot
 from mpipic.phases import Phases
 from mpipic.run.loop import Simulation
@@ -177,9 +176,8 @@ def run(plan: Plan, comm: MPI.Comm, console: Console, output: Path | None = None
     console.table("speed, per particle and step", SPEED, [_speed(timing) for timing in timings])
     console.table("set-up, memory, and where a step's time goes", COST, [_cost(timing) for timing in timings])
     if output is not None and comm.rank == 0:
-        content = {"plan": asdict(plan), "timings": [asdict(timing) for timing in timings], "versions": versions()}
-        with replacing(output) as temporary:
-            temporary.write_text(json.dumps(plain(content), indent=2) + "\n")
+        content = {"plan": plan, "timings": timings, "versions": versions()}
+        write_json(output, content)
     return timings
 
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import statistics
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -16,9 +15,10 @@ from petsc4py import PETSc
 
 from mpipic import filters
 from mpipic.analysis.filter_choice import Choice, svd_is_quick
-from mpipic.arrays import FloatArray, IntArray
+from mpipic.arrays import FloatArray
 from mpipic.console import Console
-from mpipic.files import plain, replacing
+from mpipic.draws import noise
+from mpipic.files import write_json
 from mpipic.mapping.mapping import Mapping
 from mpipic.mesh.grid import Grid
 from mpipic.run.loop import check_filter, populate, solution_of
@@ -64,15 +64,6 @@ class Row:
     null_space_share: float
     sum_error: float
     facts: dict[str, Any] = field(default_factory=dict)
-
-
-def noise(ids: IntArray) -> FloatArray:
-    """White noise, uniform in [-1, 1), by particle id: the same on any number of ranks (SplitMix64). Local."""
-    z = ids.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(0x9E3779B97F4A7C15)
-    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    z = z ^ (z >> np.uint64(31))
-    return np.asarray((z >> np.uint64(11)).astype(np.float64) * 2.0**-52 - 1.0)
 
 
 class Comparison:
@@ -173,11 +164,10 @@ def run(scene: Scene, choices: Sequence[Choice], comm: MPI.Comm, console: Consol
             "nodes": comparison.grid.node_count,
             "reference": comparison.reference,
             "unfiltered_null_space_share": share,
-            "filters": [asdict(row) for row in rows],
+            "filters": rows,
             "versions": versions(),
         }
-        with replacing(output) as temporary:
-            temporary.write_text(json.dumps(plain(content), indent=2) + "\n")
+        write_json(output, content)
     return rows
 
 

@@ -7,7 +7,6 @@ the grid recurs, so those T steps are one linear map M of the particle values, a
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -21,7 +20,7 @@ from mpipic.analysis.recurrence import Recurrence, find
 from mpipic.arrays import FloatArray
 from mpipic.console import Console
 from mpipic.errors import NotConverged
-from mpipic.files import plain, replacing
+from mpipic.files import write_json
 from mpipic.filters import ExactFilter
 from mpipic.io.run_directory import RunDirectory
 from mpipic.mapping.mapping import Mapping
@@ -302,8 +301,7 @@ def run(scene: Scene, comm: MPI.Comm, console: Console, output: Path | None, mos
     folder = output or RunDirectory.default(f"{scene.name}-stability", comm)
     if comm.rank == 0:
         folder.mkdir(parents=True, exist_ok=True)
-        with replacing(folder / "stability.json") as temporary:
-            content = plain({**asdict(growth), "scene": scene.to_dict(), "versions": versions()})
-            temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+        content = {**asdict(growth), "scene": scene.to_dict(), "versions": versions()}
+        write_json(folder / "stability.json", content)
     console.message(f"results in {folder}")
     return growth

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from mpi4py import MPI
@@ -18,7 +15,7 @@ from mpipic.analysis.growth import analyse
 from mpipic.analysis.recurrence import nearest_flows
 from mpipic.console import Console
 from mpipic.errors import NotConverged
-from mpipic.files import replacing
+from mpipic.files import write_csv
 from mpipic.scene.records import Problem, Scene, SceneError
 
 BORDER = 1e-6
@@ -132,12 +129,6 @@ def run(
 
 
 def _write(path: Path, axes: Sequence[Axis], found: Sequence[Point]) -> None:
-    stream = io.StringIO()
-    table: Any = csv.writer(stream, lineterminator="\n")
     names = {"x": axes[0].key, "y": axes[1].key, "flow": "flow taken"}
-    table.writerow([names.get(column, column) for column in COLUMNS])
-    for p in found:
-        row = (p.filter, p.x, p.y, " ".join(map(repr, p.flow)), p.growth, p.period, p.blow_up, p.status)
-        table.writerow(["" if cell is None else cell for cell in row])
-    with replacing(path) as temporary:
-        temporary.write_text(stream.getvalue(), encoding="utf-8")
+    rows = ((p.filter, p.x, p.y, " ".join(map(repr, p.flow)), p.growth, p.period, p.blow_up, p.status) for p in found)
+    write_csv(path, [names.get(column, column) for column in COLUMNS], rows)

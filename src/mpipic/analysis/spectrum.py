@@ -7,12 +7,9 @@ not at all.
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from mpi4py import MPI
@@ -21,7 +18,7 @@ from mpipic import filters
 from mpipic.analysis.filter_choice import Choice
 from mpipic.arrays import FloatArray
 from mpipic.console import Console
-from mpipic.files import replacing
+from mpipic.files import write_csv
 from mpipic.mapping.mapping import Mapping
 from mpipic.mesh.grid import Grid
 from mpipic.run.loop import check_filter, populate, solution_of
@@ -116,7 +113,8 @@ def run(
             console.table(f"kept of a wave along {direction}", ("λ/h", *labels), rows)
     if comm.rank == 0:
         output.mkdir(parents=True, exist_ok=True)
-        _write(output / "spectrum.csv", points)
+        lines = ((p.direction, p.wave, p.lambda_over_h, p.filter, p.kept) for p in points)
+        write_csv(output / "spectrum.csv", COLUMNS, lines)
         if plot:
             from mpipic.plots.pictures import draw_spectrum
 
@@ -131,12 +129,3 @@ def _rows(points: Sequence[Kept], direction: str, labels: Sequence[str]) -> list
     shown = [length for length in lengths if length in SHOWN] or lengths[:: max(1, len(lengths) // 5)]
     value = {(point.lambda_over_h, point.filter): point.kept for point in mine}
     return [[f"{length:g}", *(f"{value[length, label]:.4f}" for label in labels)] for length in shown]
-
-
-def _write(path: Path, points: Sequence[Kept]) -> None:
-    stream = io.StringIO()
-    table: Any = csv.writer(stream, lineterminator="\n")
-    table.writerow(COLUMNS)
-    table.writerows((p.direction, p.wave, repr(p.lambda_over_h), p.filter, repr(p.kept)) for p in points)
-    with replacing(path) as temporary:
-        temporary.write_text(stream.getvalue(), encoding="utf-8")

@@ -6,10 +6,9 @@ finite, never a wrong number called completed. Where a growth rate can be comput
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -22,7 +21,7 @@ from mpipic.analysis.trial_cases import CASES, Case
 from mpipic.arrays import FloatArray
 from mpipic.console import Console
 from mpipic.errors import NotConverged
-from mpipic.files import plain, replacing
+from mpipic.files import write_json
 from mpipic.run.diagnostics import ErrorReport, measure
 from mpipic.run.loop import Simulation
 from mpipic.run.verb import versions
@@ -200,9 +199,8 @@ def run(
         console.fail(f"{item.case}: {item.reason}")
     console.message(f"{len(judged) - len(bad)} good, {len(bad)} bad, in {sum(j.seconds for j in judged):.0f} s")
     if output is not None and comm.rank == 0:
-        content = {"ranks": comm.size, "cases": [asdict(item) for item in judged], "versions": versions()}
-        with replacing(output) as temporary:
-            temporary.write_text(json.dumps(plain(content), indent=2) + "\n", encoding="utf-8")
+        content = {"ranks": comm.size, "cases": judged, "versions": versions()}
+        write_json(output, content)
     return judged
 
 

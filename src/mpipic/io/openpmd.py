@@ -218,14 +218,14 @@ def _add_patches(tree: Tree, particles: Any, counts: Sequence[int], rank: int) -
 
     add("numParticles", counts[rank], np.uint64)
     add("numParticlesOffset", sum(counts[:rank]), np.uint64)
-    low, extent = _box(np.asarray(particles.position, dtype=np.float64))
+    low, extent = smallest_box(np.asarray(particles.position, dtype=np.float64))
     for name, corner in (("offset", low), ("extent", extent)):
         tree.attributes[f"{patches}/{name}"] = record_attributes("position")
         for axis in range(dim):
             add(f"{name}/{AXES[axis]}", corner[axis], np.float64)
 
 
-def _box(position: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def smallest_box(position: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Corner and size of the smallest half-open box around the points; zeros when there are none."""
     if len(position) == 0:
         zero = np.zeros(position.shape[1])

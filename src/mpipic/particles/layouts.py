@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from mpipic.arrays import FloatArray, IntArray
+from mpipic.draws import uniform
 from mpipic.mesh.grid import Grid
 
 Layout = Callable[[Grid, Sequence[int], float, int, IntArray], FloatArray]
@@ -32,21 +33,6 @@ def _random(grid: Grid, per_cell: Sequence[int], jitter: float, seed: int, ids: 
 
 LAYOUTS: dict[str, Layout] = {"lattice": _lattice, "jittered": _jittered, "random": _random}
 """Name to function (grid, per_cell, jitter, seed, ids) -> coordinates (n, d), in cells, of those ids."""
-
-
-def uniform(seed: int, ids: IntArray, columns: int) -> FloatArray:
-    """Uniform numbers in [0, 1), shape (n, columns <= 4), that depend on seed and id only.
-
-    Row j is the block of four that NumPy's Philox generator with key `seed` gives at counter ids[j]; `ids` must be
-    consecutive, so that one jump ahead reaches them all. Local; O(n).
-    """
-    if len(ids) == 0:
-        return np.empty((0, columns))
-    if ids[-1] - ids[0] + 1 != len(ids):
-        raise ValueError("ids must be consecutive")
-    stream = np.random.Philox(key=seed)
-    stream.advance(int(ids[0]))
-    return np.random.Generator(stream).random((len(ids), 4))[:, :columns]
 
 
 def share(total: int, grid: Grid) -> IntArray:

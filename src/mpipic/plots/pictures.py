@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mpipic.draws import golden_turns
 from mpipic.files import replacing
 
 if TYPE_CHECKING:
@@ -30,7 +31,6 @@ MAP_POINTS = 190.0  # width of a map in points
 HUGE, TINY = 1e150, 1e-150
 DECADES = 16
 SAMPLE = 20_000
-GOLDEN = 0x9E3779B97F4A7C15
 STYLE = {
     "font.size": 10, "axes.grid": True, "grid.color": "#DDDDDD", "grid.linewidth": 0.6, "axes.axisbelow": True,
     "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False, "axes.titlesize": 10,
@@ -63,12 +63,12 @@ def gather_sample(particles: Any, comm: Any, at_most: int = SAMPLE) -> dict[str,
     columns = {"ids": ids, "position": particles.position, **particles.fields}
     keep = np.arange(len(ids))
     if total > at_most:
-        keep = np.flatnonzero(_turns(ids) < np.uint64(int(at_most / total * 2**64)))
+        keep = np.flatnonzero(golden_turns(ids) < np.uint64(int(at_most / total * 2**64)))
     parts = comm.gather({name: np.asarray(values)[keep] for name, values in columns.items()})
     if parts is None:
         return None
     sample = {name: np.concatenate([part[name] for part in parts]) for name in columns}
-    first = np.argsort(_turns(sample["ids"]), kind="stable")[:at_most]
+    first = np.argsort(golden_turns(sample["ids"]), kind="stable")[:at_most]
     order = first[np.argsort(sample["ids"][first], kind="stable")]
     return {name: values[order] for name, values in sample.items()}
 
@@ -331,11 +331,6 @@ def _figure(path: Path | str, size: tuple[float, float]) -> Iterator[Figure]:
         yield figure
         with replacing(Path(path)) as temporary:
             figure.savefig(temporary, format="png", dpi=150)
-
-
-def _turns(ids: NDArray[Any]) -> NDArray[np.uint64]:
-    """Fractional part of golden ratio × id, in units of 2⁻⁶⁴; the product wraps on purpose."""
-    return ids.astype(np.uint64) * np.uint64(GOLDEN)
 
 
 def _column(rows: Sequence[Mapping[str, Any]], key: str) -> FloatArray:

@@ -6,13 +6,13 @@ import platform
 from importlib import metadata
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mpi4py import MPI
 
 from mpipic.console import Console, Progress
 from mpipic.errors import NotConverged
-from mpipic.io.run_directory import ERROR_PLOT, PARTICLES, SOLUTION_PLOT, ParticleSeries, RunDirectory
+from mpipic.io.run_directory import ERROR_PLOT, PARTICLES, SOLUTION_PLOT, RunDirectory
 from mpipic.phases import Phases
 from mpipic.run import describe as advice
 from mpipic.run.diagnostics import ErrorReport
@@ -21,6 +21,9 @@ from mpipic.run.loop import Outcome, Simulation
 from mpipic.run.warmup import compile_loops
 from mpipic.runtime import StopRequest
 from mpipic.scene.records import Scene
+
+if TYPE_CHECKING:
+    from mpipic.io.snapshots import ParticleSeries
 
 EXIT_CODES = {"completed": 0, "unstable": 3, "interrupted": 130}
 STEP_PHASES = ("particles", "nodes", "filter", "halo", "migrate", "sort")
@@ -51,6 +54,8 @@ class Recorder:
         """Write particles and nodal means. Collective."""
         simulation, scene = self._simulation, self._simulation.scene
         if self._series is None:
+            from mpipic.io.snapshots import ParticleSeries
+
             self._series = ParticleSeries(self._directory.path / PARTICLES, simulation.comm, scene)
         self._series.write(step, time, scene.dt, simulation.particles, simulation.grid, simulation.nodal_means())
 

@@ -18,6 +18,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
+from mpipic.files import Unreadable, read_text
 from mpipic.mesh.decomposition import process_grid
 from mpipic.scene.checks import CHOICES, FIXED_FOR_NOW, USED_WITH, available, check
 from mpipic.scene.presets import PRESETS, with_preset
@@ -286,14 +287,11 @@ SECTIONS: dict[str, type[Section]] = {
 
 def _read(path: Path) -> str:
     try:
-        return path.read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        rule, near = f"not a text file in UTF-8 (byte {error.start})", None
-    except (OSError, ValueError) as error:
-        rule = f"cannot be read: {(error.strerror if isinstance(error, OSError) else None) or error}"
-        near = closest(path.name, _scene_files(path.parent))
-    suggestion = str(path.parent / near) if near else None
-    raise SceneError([Problem(escape(str(path)), None, rule, (), suggestion)])
+        return read_text(path)
+    except Unreadable as error:
+        near = None if path.is_file() else closest(path.name, _scene_files(path.parent))
+        suggestion = str(path.parent / near) if near else None
+        raise SceneError([Problem(escape(str(path)), None, str(error), (), suggestion)]) from None
 
 
 def _scene_files(folder: Path) -> list[str]:

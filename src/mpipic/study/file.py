@@ -37,6 +37,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from mpipic.files import Unreadable, read_text
 from mpipic.scene.records import Problem, Scene, SceneError
 from mpipic.scene.text import closest, escape, parse_toml, show, show_key
 from mpipic.study.points import NOTHING, RANKS, SCHEME, Axis, Choice, Point, Values, expand
@@ -106,12 +107,9 @@ def load(path: Path) -> Study:
 
 def _read(path: Path) -> str:
     try:
-        return path.read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        rule = f"not a text file in UTF-8 (byte {error.start})"
-    except (OSError, ValueError) as error:
-        rule = f"cannot be read: {getattr(error, 'strerror', None) or error}"
-    raise SceneError([Problem(escape(str(path)), None, rule)])
+        return read_text(path)
+    except Unreadable as error:
+        raise SceneError([Problem(escape(str(path)), None, str(error))]) from None
 
 
 def _settings(data: Mapping[str, Any], problems: list[Problem]) -> Settings:

@@ -9,7 +9,6 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from mpipic.files import replacing
 from mpipic.scene.text import write_toml
 from mpipic.study.file import Study
 from mpipic.study.points import differing
@@ -88,12 +87,6 @@ unstable point end where it blew up. Peak memory is that of the largest process.
 </body>
 </html>
 """
-
-
-def write(path: Path, text: str) -> None:
-    """Write the page whole."""
-    with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
 
 
 def _points(rows: Sequence[Row]) -> str:

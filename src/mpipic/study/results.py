@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import json
 import math
 import statistics
 import sys
@@ -13,7 +10,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from mpipic.files import plain, replacing
+from mpipic.files import write_csv
 from mpipic.scene.records import Scene
 from mpipic.scene.text import show
 from mpipic.study.file import NORMS, QUANTITIES, Study
@@ -199,25 +196,21 @@ def columns(row: Row) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def write_csv(path: Path, study: Study, rows: Sequence[Row]) -> None:
-    """One line a point: the values of the axes, what was measured, the seconds of each phase; None is empty."""
+def write_table(path: Path, study: Study, rows: Sequence[Row]) -> None:
+    """Write one line of CSV a point: the values of the axes, what was measured, the seconds of each phase."""
     axes = [axis.name for axis in study.axes if axis.name != "ranks"]
     phases = list(dict.fromkeys(name for row in rows for name in row.phases))
-    stream = io.StringIO()
-    table = csv.writer(stream, lineterminator="\n")
-    table.writerow([*axes, *MEASURED, *(f"seconds_{name}" for name in phases)])
+    lines = []
     for row in rows:
         measured = columns(row)
         values = [*(row.point.values[name] for name in axes), *(measured[name] for name in MEASURED)]
-        table.writerow([_cell(value) for value in [*values, *(row.phases.get(name) for name in phases)]])
-    with replacing(path) as temporary:
-        temporary.write_text(stream.getvalue(), encoding="utf-8")
+        lines.append([_cell(value) for value in [*values, *(row.phases.get(name) for name in phases)]])
+    write_csv(path, [*axes, *MEASURED, *(f"seconds_{name}" for name in phases)], lines)
 
 
-def _cell(value: Any) -> str:
-    if value is None:
-        return ""
-    return value if isinstance(value, str) else show(value)
+def _cell(value: object) -> str | float | None:
+    """Write lists and truth values as scene files do; the rest is as it is."""
+    return value if value is None or isinstance(value, (str, float)) else show(value)
 
 
 def content(
@@ -238,13 +231,6 @@ def content(
         "points": points,
         "orders": [{"label": order.label, **asdict(order.fit), "left_out": order.left_out} for order in orders(rows)],
     }
-
-
-def write_json(path: Path, value: dict[str, Any]) -> None:
-    """Strict JSON: numbers that are not finite become null."""
-    with replacing(path) as temporary:
-        text = json.dumps(plain(value), indent=2, allow_nan=False, ensure_ascii=False)
-        temporary.write_text(text + "\n", encoding="utf-8")
 
 
 # ------------------------------------------------------------ for the picture

@@ -23,8 +23,9 @@ from functools import cache
 from pathlib import Path
 from typing import IO, Any
 
-from mpipic.files import plain, replacing
-from mpipic.io.run_directory import SUMMARY, OutputError
+from mpipic.errors import OutputError
+from mpipic.files import plain, to_json, write_text
+from mpipic.io.run_directory import SUMMARY
 from mpipic.runtime import RANKS
 from mpipic.scene.text import escape
 from mpipic.study.points import Point
@@ -218,8 +219,8 @@ class Records:
 
     def add(self, record: Record) -> None:
         """Keep a run."""
-        content = plain(record)
-        self._file.write((json.dumps(content, allow_nan=False, ensure_ascii=False) + "\n").encode())
+        content = {key: plain(value) for key, value in record.items()}
+        self._file.write((to_json(content) + "\n").encode())
         self._file.flush()
         os.fsync(self._file.fileno())
         self._runs.setdefault(record["id"], {})[record["repeat"]] = content
@@ -251,8 +252,7 @@ def write_scenes(folder: Path, points: Sequence[Point]) -> None:
     for point in points:
         launch_with = f"mpiexec -n {point.ranks} " if point.ranks > 1 else ""
         header = f"# {escape(point.label)}: {launch_with}python -m mpipic run {SCENES}/{point.id}.toml\n"
-        with replacing(scene_file(folder, point)) as temporary:
-            temporary.write_text(header + point.scene.to_toml(), encoding="utf-8")
+        write_text(scene_file(folder, point), header + point.scene.to_toml())
 
 
 def scene_file(folder: Path, point: Point) -> Path:

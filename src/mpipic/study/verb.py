@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from mpipic.console import Console, duration
-from mpipic.io.run_directory import OutputError
+from mpipic.errors import OutputError
+from mpipic.files import write_json, write_text
 from mpipic.scene.records import Problem, SceneError
 from mpipic.study import report
 from mpipic.study.file import Study, load
@@ -29,8 +30,7 @@ from mpipic.study.results import (
     orders,
     stable_pairs,
     sum_up,
-    write_csv,
-    write_json,
+    write_table,
 )
 from mpipic.study.runs import (
     COMPLETED,
@@ -213,11 +213,11 @@ def _write(study: Study, folder: Path, rows: Sequence[Row], runs: Sequence[Seque
     every = [record for of_it in runs for record in of_it]
     versions: dict[str, str] = next((r["versions"] for r in reversed(every) if r.get("versions")), {})
     facts = {"command": command, "machine": every[-1]["machine"] if every else machine(), "versions": versions}
-    write_csv(folder / CSV, study, rows)
+    write_table(folder / CSV, study, rows)
     write_json(folder / JSON, content(study, rows, runs, facts))
     error = f"error, {study.settings.error.replace('.', ' ')} at t = {study.settings.until:g}"
     draw_work_precision(folder / PICTURE, marks(study, rows), study.title, error, _note(study, rows))
-    report.write(folder / report.REPORT, report.page(study, rows, facts, folder / PICTURE))
+    write_text(folder / report.REPORT, report.page(study, rows, facts, folder / PICTURE))
 
 
 def _note(study: Study, rows: Sequence[Row]) -> str:
