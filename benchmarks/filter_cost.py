@@ -67,7 +67,7 @@ def numpy_seconds(particles: int, layout: str) -> float:
 
 def exponent(points: list[tuple[int, float]]) -> float:
     n, seconds = np.log(np.array(points)).T
-    return float(np.polyfit(n, seconds, 1)[0])
+    return statistics.linear_regression(n, seconds).slope
 
 
 def main() -> None:

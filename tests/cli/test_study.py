@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 
 from helpers import end, environment, finish, launcher, mpipic, run_python, start, wait_until
@@ -59,15 +60,8 @@ def run(study: Path, folder: Path, *more: str) -> subprocess.CompletedProcess[st
 
 def running(folder: Path) -> list[str]:
     """Command lines of all processes that name this folder."""
-    found = []
-    for path in Path("/proc").glob("[0-9]*/cmdline"):
-        try:
-            words = path.read_bytes().replace(b"\0", b" ").decode()
-        except OSError:
-            continue
-        if str(folder) in words:
-            found.append(words)
-    return found
+    every = (" ".join(process.info["cmdline"] or ()) for process in psutil.process_iter(["cmdline"]))
+    return [words for words in every if str(folder) in words]
 
 
 def test_an_interrupted_study_goes_on_where_it_stopped_and_no_point_can_end_it(study: Path, tmp_path: Path) -> None:

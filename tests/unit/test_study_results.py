@@ -18,7 +18,7 @@ from mpipic.plots.pictures import draw_work_precision
 from mpipic.scene.records import SceneError
 from mpipic.study.file import Study, load
 from mpipic.study.pareto import cheapest, fit_order, front, most_accurate
-from mpipic.study.results import content, floor, marks, orders, sum_up, write_table
+from mpipic.study.results import Origin, content, floor, marks, orders, sum_up, write_table
 from mpipic.study.verb import parse_aims, recommend, report
 
 NASTY = '<script>alert("1")</script> & $x^$ \\"'
@@ -171,8 +171,7 @@ def test_orders_come_from_three_errors_above_the_floor(tmp_path: Path) -> None:
 # ------------------------------------------------------------ files
 
 
-def facts() -> dict[str, Any]:
-    return {"command": f"mpipic study '{NASTY}'", "machine": {"processor": NASTY}, "versions": {"mpipic": "0"}}
+ORIGIN = Origin(f"mpipic study '{NASTY}'", {"processor": NASTY}, {"mpipic": "0"})
 
 
 def test_csv_has_a_row_a_point_with_axes_and_numbers(tmp_path: Path) -> None:
@@ -192,9 +191,9 @@ def test_json_holds_everything_strictly(tmp_path: Path) -> None:
     study = study_of(tmp_path)
     runs = made_up(study)
     runs[0] = [run_of(study.points[0], error=math.inf)]
-    write_json(tmp_path / "study.json", content(study, sum_up(study, runs), runs, facts()))
+    write_json(tmp_path / "study.json", content(study, sum_up(study, runs), runs, ORIGIN))
     found = json.loads((tmp_path / "study.json").read_text(), parse_constant=pytest.fail)
-    assert found["command"] == facts()["command"] and found["settings"]["until"] == 1.0
+    assert found["command"] == ORIGIN.command and found["settings"]["until"] == 1.0
     assert [point["id"] for point in found["points"]] == [point.id for point in study.points]
     assert found["points"][1]["scene"] == study.points[1].scene.to_dict()
     assert len(found["points"][1]["runs"]) == 3 and found["orders"][0]["order"] == pytest.approx(2.0)
@@ -224,7 +223,7 @@ def test_the_page_is_self_contained_and_escapes_what_others_named(tmp_path: Path
     runs[6][0]["message"] = NASTY
     rows = sum_up(study, runs)
     draw_work_precision(tmp_path / "p.png", marks(study, rows), study.title, "error")
-    text = report.page(study, rows, facts(), tmp_path / "p.png")
+    text = report.page(study, rows, ORIGIN, tmp_path / "p.png")
     page = Page(text)
     assert page.tags.count("script") == 1 and not re.search(r"alert\(\"1\"\)</script>", text)
     fetched = [value for name, value in page.attributes if name in ("src", "href", "data", "srcset", "action")]

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import psutil
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -200,11 +201,8 @@ def check_memory(nodes: int, particles: int, comm: MPI.Comm) -> None:
 
 
 def available_bytes() -> float:
-    """Memory of this machine that can be had without swapping; infinity where the system does not say."""
-    limits = [np.inf]
-    with suppress(OSError):
-        lines = Path("/proc/meminfo").read_text().splitlines()
-        limits += [1024.0 * float(line.split()[1]) for line in lines if line.startswith("MemAvailable:")]
+    """Return the memory that can be had without swapping and within the limit of this process's control group."""
+    limits = [float(psutil.virtual_memory().available)]
     group = Path("/sys/fs/cgroup")
     with suppress(OSError, ValueError):  # no such group, or "max"
         limits.append(float((group / "memory.max").read_text()) - float((group / "memory.current").read_text()))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import linear_regression
 
 
 def front(pairs: Sequence[tuple[float, float]]) -> list[int]:
@@ -36,12 +37,9 @@ class Fit:
 def fit_order(h: Sequence[float], errors: Sequence[float]) -> Fit:
     """Fit the order of convergence to at least two errors above 0 at different h."""
     x, y = [math.log(value) for value in h], [math.log(value) for value in errors]
-    mean_x, mean_y = math.fsum(x) / len(x), math.fsum(y) / len(y)
-    spread = math.fsum((a - mean_x) ** 2 for a in x)
-    order = math.fsum((a - mean_x) * (b - mean_y) for a, b in zip(x, y, strict=True)) / spread
-    rest = [b - mean_y - order * (a - mean_x) for a, b in zip(x, y, strict=True)]
-    residual = math.sqrt(math.fsum(value * value for value in rest) / len(rest))
-    return Fit(order, math.exp(mean_y - order * mean_x), residual, len(x))
+    order, intercept = linear_regression(x, y)
+    squares = math.fsum((b - intercept - order * a) ** 2 for a, b in zip(x, y, strict=True))
+    return Fit(order, math.exp(intercept), math.sqrt(squares / len(x)), len(x))
 
 
 def cheapest(pairs: Sequence[tuple[float, float]], error: float) -> int | None:

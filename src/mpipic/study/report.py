@@ -1,48 +1,22 @@
-"""A study as one HTML page that opens from disk: picture and script are in it, and nothing is fetched."""
+"""A study as one HTML page: what report.html.jinja shows, made ready; the template escapes what others have named."""
 
 from __future__ import annotations
 
 import base64
 import tomllib
-from collections.abc import Mapping, Sequence
-from html import escape
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from importlib import resources
 from pathlib import Path
-from typing import Any
+
+from jinja2 import Environment, StrictUndefined
 
 from mpipic.scene.text import write_toml
 from mpipic.study.file import Study
 from mpipic.study.points import differing
-from mpipic.study.results import Row, columns, orders
+from mpipic.study.results import Order, Origin, Row, columns, orders
 
-REPORT = "report.html"
-STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; color: #222; background: #fff;
-  max-width: 75rem; margin: 2rem auto; padding: 0 1rem }
-h1 { font-size: 1.5rem; margin-bottom: .2rem } h2 { font-size: 1.15rem; margin-top: 2rem }
-img { max-width: 100%; height: auto } pre { background: #f4f4f4; padding: .8rem; overflow-x: auto; font-size: 13px }
-.wide { overflow-x: auto } table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: 13px }
-th, td { padding: .25rem .6rem; border-bottom: 1px solid #ddd; text-align: left; white-space: nowrap }
-td.number { text-align: right } tr.front { background: #eaf2f8 } tr.failed td { color: #888 }
-td.message { white-space: normal }
-th button { all: unset; cursor: pointer; font-weight: 600 } th button:focus-visible { outline: 2px solid #0072B2 }
-th[aria-sort=ascending] button::after { content: " \\25B2" }
-th[aria-sort=descending] button::after { content: " \\25BC" }
-"""
-SCRIPT = """
-for (const button of document.querySelectorAll("table.sortable th button")) button.onclick = () => {
-  const head = button.parentElement, body = head.closest("table").tBodies[0], column = head.cellIndex;
-  const down = head.getAttribute("aria-sort") === "ascending";
-  for (const other of head.parentElement.cells) other.removeAttribute("aria-sort");
-  head.setAttribute("aria-sort", down ? "descending" : "ascending");
-  const key = row => row.cells[column].dataset.value ?? row.cells[column].textContent;
-  const order = (a, b) => {
-    if (a === "" || b === "") return (a === "") - (b === "");
-    const by = isNaN(a) || isNaN(b) ? a.localeCompare(b, undefined, {numeric: true}) : a - b;
-    return down ? -by : by;
-  };
-  body.append(...[...body.rows].sort((a, b) => order(key(a), key(b))));
-};
-"""
+REPORT, TEMPLATE = "report.html", "report.html.jinja"
 SHOWN = {
     "scheme": "scheme", "resolution": "resolution", "status": "status", "ranks": "ranks", "particles": "particles",
     "steps": "steps", "dt": "dt", "cfl": "CFL",
@@ -55,93 +29,67 @@ SHOWN = {
 }  # fmt: skip
 
 
-def page(study: Study, rows: Sequence[Row], facts: Mapping[str, Any], picture: Path) -> str:
-    """The page; everything that a file or a user names is escaped."""
-    image = base64.b64encode(picture.read_bytes()).decode()
-    norm = study.settings.error.replace(".", " ")
-    repeats = study.settings.repeats
-    return f"""<!DOCTYPE html>
-<html lang="en">
-<head><meta charset="utf-8"><title>{escape(study.title)}</title><style>{STYLE}</style></head>
-<body>
-<h1>{escape(study.title)}</h1>
-<p>{len(rows)} points to t = {study.settings.until:g}, each run {repeats} time{"s" if repeats > 1 else ""}: medians.
-Errors are those at the end, {escape(norm)} in the picture.</p>
-<img alt="{escape(norm)} error against seconds of stepping, a line a scheme" src="data:image/png;base64,{image}">
-<h2>Points</h2>
-<p>On the Pareto front (shaded) nothing is both faster and as accurate, or as fast and more accurate. The times of an
-unstable point end where it blew up. Peak memory is that of the largest process. A heading sorts.</p>
-<div class="wide">{_points(rows)}</div>
-{_orders(rows)}
-<h2>Reproduce</h2>
-<pre>{escape(facts["command"])}</pre>
-<p>One point: <code>mpipic run scenes/ID.toml</code> in this folder; its first line says on what ranks.</p>
-<h2>Machine and versions</h2>
-{_facts({**facts["machine"], **facts["versions"]})}
-<h2>Settings</h2>
-<p>The study file:</p>
-<pre>{escape(study.source)}</pre>
-<p>Resolved, what all points share; they differ in {escape(", ".join(differing(study.points)) or "nothing")}:</p>
-<pre>{escape(_shared(study))}</pre>
-<script>{SCRIPT}</script>
-</body>
-</html>
-"""
+@dataclass(frozen=True)
+class Cell:
+    """A cell of a table: its class, what it shows, and what it is sorted by where that is something else."""
+
+    kind: str
+    shown: str
+    key: str | None = None
 
 
-def _points(rows: Sequence[Row]) -> str:
+@dataclass(frozen=True)
+class Line:
+    """A row of a table, and its class."""
+
+    kind: str
+    cells: tuple[Cell, ...]
+
+
+def page(study: Study, rows: Sequence[Row], origin: Origin, picture: Path) -> str:
+    """Return the page, with the picture in it."""
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    source = resources.files("mpipic.study").joinpath(TEMPLATE).read_text("utf-8")
+    return environment.from_string(source).render(
+        study=study,
+        norm=study.settings.error.replace(".", " "),
+        image=base64.b64encode(picture.read_bytes()).decode(),
+        points=_points(rows),
+        orders=[_order(order) for order in orders(rows)],
+        origin=origin,
+        differing=", ".join(differing(study.points)),
+        shared=_shared(study),
+    )
+
+
+def _points(rows: Sequence[Row]) -> tuple[Iterable[str], list[Line]]:
+    """Return the headings of the table of points, without those of empty columns, and its lines."""
     measured = [columns(row) for row in rows]
     shown = {key: name for key, name in SHOWN.items() if any(one[key] not in (None, "") for one in measured)}
-    body = []
+    lines = []
     for row, one in zip(rows, measured, strict=True):
         kind = "front" if row.on_front else "" if row.is_stable else "failed"
-        body.append(f'<tr class="{kind}">' + "".join(_cell(key, one[key]) for key in shown) + "</tr>")
-    return _table(shown.values(), body, "sortable")
+        lines.append(Line(kind, tuple(_cell(key, one[key]) for key in shown)))
+    return shown.values(), lines
 
 
-def _orders(rows: Sequence[Row]) -> str:
-    found = orders(rows)
-    if not found:
-        return ""
-    body = [
-        "<tr>"
-        + f"<td>{escape(order.label)}</td>"
-        + _cell("order", round(order.fit.order, 3))
-        + _cell("residual", order.fit.residual)
-        + _cell("count", order.fit.count)
-        + _cell("left_out", order.left_out)
-        + "</tr>"
-        for order in found
-    ]
-    header = ("scheme", "order", "residual", "points", "left out")
-    return f"""<h2>Observed order of convergence</h2>
-<p>Slope of ln error against ln h by least squares over points that differ only in grid.cells; the residual is the root
-mean square distance of ln error from the line. Points below ten times the floor, 2.2e-16 times the steps plus
-filter.tolerance where a solver is used, are left out.</p>
-{_table(header, body, "sortable")}"""
+def _order(order: Order) -> Line:
+    numbers = {"order": round(order.fit.order, 3), "residual": order.fit.residual, "count": order.fit.count,
+               "left_out": order.left_out}  # fmt: skip
+    return Line("", (_cell("label", order.label), *(_cell(key, value) for key, value in numbers.items())))
 
 
-def _table(header: Any, body: Sequence[str], kind: str) -> str:
-    heads = "".join(f"<th><button>{escape(name)}</button></th>" for name in header)
-    return f'<table class="{kind}"><thead><tr>{heads}</tr></thead><tbody>{"".join(body)}</tbody></table>'
-
-
-def _cell(key: str, value: Any) -> str:
+def _cell(key: str, value: str | float | None) -> Cell:
     if value is None or value == "":
-        return '<td data-value=""></td>'
+        return Cell("empty", "", "")
     if isinstance(value, str):
-        return f'<td class="{"message" if key == "message" else "text"}">{escape(value)}</td>'
+        return Cell("message" if key == "message" else "text", value)
     shown = f"{value / 1e6:.0f}" if key == "peak_memory" else f"{value:,}" if isinstance(value, int) else f"{value:.4g}"
-    return f'<td class="number" data-value="{value!r}">{shown}</td>'
-
-
-def _facts(facts: Mapping[str, Any]) -> str:
-    rows = (f"<tr><th>{escape(str(name))}</th><td>{escape(str(value))}</td></tr>" for name, value in facts.items())
-    return f"<table>{''.join(rows)}</table>"
+    return Cell("number", shown, repr(value))
 
 
 def _shared(study: Study) -> str:
-    """The resolved settings that all points have in common, as a scene file."""
+    """Return the resolved settings that all points have in common, as a scene file."""
     apart = set(differing(study.points))
     scene = tomllib.loads(study.points[0].scene.to_toml())
     tables = {s: {k: v for k, v in table.items() if f"{s}.{k}" not in apart} for s, table in scene.items()}

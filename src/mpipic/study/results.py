@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import statistics
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -213,10 +213,19 @@ def _cell(value: object) -> str | float | None:
     return value if value is None or isinstance(value, (str, float)) else show(value)
 
 
+@dataclass(frozen=True)
+class Origin:
+    """Where results come from: the command that reproduces them, the machine, and the versions of what ran there."""
+
+    command: str
+    machine: Mapping[str, object]
+    versions: Mapping[str, str]
+
+
 def content(
-    study: Study, rows: Sequence[Row], runs: Sequence[Sequence[Record]], facts: dict[str, Any]
-) -> dict[str, Any]:
-    """Everything, for study.json; `facts` are command, machine, versions."""
+    study: Study, rows: Sequence[Row], runs: Sequence[Sequence[Record]], origin: Origin
+) -> dict[str, object]:
+    """Return everything, for study.json."""
     points = []
     for row, of_it in zip(rows, runs, strict=True):
         scene = row.point.scene.to_dict()
@@ -227,7 +236,7 @@ def content(
         "title": study.title,
         "settings": study.settings.model_dump(),
         "axes": [axis.name for axis in study.axes],
-        **facts,
+        **asdict(origin),
         "points": points,
         "orders": [{"label": order.label, **asdict(order.fit), "left_out": order.left_out} for order in orders(rows)],
     }

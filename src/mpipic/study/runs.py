@@ -9,6 +9,7 @@ import fcntl
 import json
 import os
 import platform
+import re
 import shlex
 import shutil
 import signal
@@ -23,8 +24,10 @@ from functools import cache
 from pathlib import Path
 from typing import IO, Any
 
+import psutil
+
 from mpipic.errors import OutputError
-from mpipic.files import plain, to_json, write_text
+from mpipic.files import Unreadable, plain, read_text, to_json, write_text
 from mpipic.io.run_directory import SUMMARY
 from mpipic.runtime import RANKS
 from mpipic.scene.text import escape
@@ -35,8 +38,8 @@ NOT_CONVERGED, REFUSED = "not converged", "refused"
 STATUS_OF_CODE = {0: COMPLETED, 2: REFUSED, 3: UNSTABLE, 4: NOT_CONVERGED}
 FAILED = (TIMEOUT, CRASHED, NOT_CONVERGED, REFUSED)
 POINTS, SCENES = "points.jsonl", "scenes"
-LOOK, GRACE = 0.02, 10.0
-"""Seconds between looks at a run, and that it has to end when asked."""
+LOOK, GRACE, KILLED = 0.02, 10.0, 1.0
+"""Seconds between looks at a run, that it has to end when asked, and that what was killed may take to go."""
 KEPT = ("steps", "time", "ranks", "particles", "nodes", "seconds", "particle_steps_per_second", "blow_up", "versions")
 # What Open MPI's and MPICH's launchers leave in their processes: a launcher among them would take itself for a rank.
 LAUNCHED = (
@@ -92,7 +95,8 @@ def launch(arguments: Sequence[str], variables: Mapping[str, str], timeout: floa
     """Run a command to its end, standard error into `log`; end it after `timeout` seconds, or when interrupted.
 
     The process has a session of its own: what a terminal sends to this one does not reach it. Where setpriv is there,
-    it ends with this process even if that is killed. `peak_memory` is the resident bytes of the largest process.
+    it ends with this process even if that is killed. `peak_memory` is the resident bytes of the largest process, as the
+    system counts them: no less than this process had when it began the other.
     """
     guard = [*_watch(), *arguments]
     began = time.monotonic()
@@ -127,14 +131,27 @@ def _wait(process: subprocess.Popen[bytes], deadline: float) -> int | None:
 
 
 def _end(process: subprocess.Popen[bytes]) -> int:
-    """End a process: mpiexec is asked first, so that it takes its ranks along."""
+    """End a process and all that it started, and return its peak memory.
+
+    mpiexec is asked first, so that it takes its ranks along; they have process groups of their own, and would outlive
+    one that has to be killed.
+    """
+    try:
+        below = psutil.Process(process.pid).children(recursive=True)
+    except psutil.NoSuchProcess:
+        below = []
+    memory = None
     with suppress(ProcessLookupError, ChildProcessError):
         for number in (signal.SIGTERM, signal.SIGKILL):
             os.killpg(process.pid, number)
             memory = _wait(process, time.monotonic() + GRACE)
             if memory is not None:
-                return memory
-    return 0
+                break
+    for left in below:
+        with suppress(psutil.NoSuchProcess):
+            left.kill()
+    psutil.wait_procs(below, KILLED)
+    return memory or 0
 
 
 def run_once(point: Point, scene_file: Path, repeat: int, timeout: float) -> Record:
@@ -263,26 +280,25 @@ def scene_file(folder: Path, point: Point) -> Path:
 @cache
 def machine() -> dict[str, Any]:
     """This machine: processor, whole cores and threads that this process may use, memory, system."""
-    facts: list[dict[str, str]] = [{}]
-    try:
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            name, colon, value = line.partition(":")
-            if colon:
-                facts[-1][name.strip()] = value.strip()
-            elif facts[-1]:
-                facts.append({})
-    except OSError:
-        pass
-    threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    whole = len({(cpu.get("physical id"), cpu["core id"]) for cpu in facts if "core id" in cpu}) or threads
+    own = psutil.Process()
+    threads = len(own.cpu_affinity()) if hasattr(own, "cpu_affinity") else psutil.cpu_count() or 1
     return {
-        "processor": facts[0].get("model name") or platform.processor() or platform.machine(),
-        "cores": min(whole, threads),
+        "processor": _processor(),
+        "cores": min(psutil.cpu_count(logical=False) or threads, threads),
         "threads": threads,
-        "memory_bytes": os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"),
+        "memory_bytes": psutil.virtual_memory().total,
         "system": platform.platform(),
         "host": platform.node(),
     }
+
+
+def _processor() -> str:
+    """Return the model of the processor as Linux names it, or what Python knows of it elsewhere."""
+    with suppress(Unreadable):
+        named = re.search(r"^model name\s*:\s*(.+)$", read_text(Path("/proc/cpuinfo")), re.MULTILINE)
+        if named:
+            return named[1]
+    return platform.processor() or platform.machine()
 
 
 @contextmanager

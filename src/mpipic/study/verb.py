@@ -23,6 +23,7 @@ from mpipic.study.results import (
     CSV,
     JSON,
     NOT_RUN,
+    Origin,
     Row,
     content,
     joined,
@@ -212,12 +213,12 @@ def _write(study: Study, folder: Path, rows: Sequence[Row], runs: Sequence[Seque
 
     every = [record for of_it in runs for record in of_it]
     versions: dict[str, str] = next((r["versions"] for r in reversed(every) if r.get("versions")), {})
-    facts = {"command": command, "machine": every[-1]["machine"] if every else machine(), "versions": versions}
+    origin = Origin(command, every[-1]["machine"] if every else machine(), versions)
     write_table(folder / CSV, study, rows)
-    write_json(folder / JSON, content(study, rows, runs, facts))
+    write_json(folder / JSON, content(study, rows, runs, origin))
     error = f"error, {study.settings.error.replace('.', ' ')} at t = {study.settings.until:g}"
     draw_work_precision(folder / PICTURE, marks(study, rows), study.title, error, _note(study, rows))
-    write_text(folder / report.REPORT, report.page(study, rows, facts, folder / PICTURE))
+    write_text(folder / report.REPORT, report.page(study, rows, origin, folder / PICTURE))
 
 
 def _note(study: Study, rows: Sequence[Row]) -> str:
