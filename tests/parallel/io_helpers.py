@@ -19,7 +19,7 @@ from mpipic.io import hdf5, snapshots
 from mpipic.io.particle_file import ParticleFileError, read_particle_file
 from mpipic.io.run_directory import RunDirectory
 from mpipic.io.snapshots import ParticleSeries
-from mpipic.plots.pictures import gather_sample
+from mpipic.plots.sample import gather_sample
 
 COMM = MPI.COMM_WORLD
 TOTAL = 2003

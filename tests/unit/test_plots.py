@@ -12,18 +12,17 @@ import pytest
 from mpi4py import MPI
 
 from covering_helpers import covering
-from mpipic.plots import pictures as plots
-from mpipic.plots.pictures import draw_error, draw_solution, gather_sample
+from mpipic.plots.history import draw_error
+from mpipic.plots.sample import gather_sample
+from mpipic.plots.solution import draw_solution
+from mpipic.plots.style import Subject
 
 COMM = MPI.COMM_SELF
 PNG = b"\x89PNG\r\n\x1a\n"
 
 
-def scene(dim: int) -> SimpleNamespace:
-    return SimpleNamespace(
-        name="pulse", dim=dim, h=(0.1,) * dim, grid=SimpleNamespace(cells=(10,) * dim, length=(1.0,) * dim),
-        filter=SimpleNamespace(kind="svd"),
-    )  # fmt: skip
+def subject(dim: int) -> Subject:
+    return Subject("pulse", "svd", (1.0,) * dim, (0.1,) * dim)
 
 
 def exact(x: np.ndarray, t: float) -> tuple[np.ndarray, np.ndarray]:
@@ -53,7 +52,7 @@ def offsets(collection: Any) -> np.ndarray:
 
 def test_1d_shows_every_particle_and_the_exact_line(tmp_path: Path, figures: list[Any]) -> None:
     data = sample(1)
-    draw_solution(tmp_path / "s.png", scene(1), 0.25, 7, data, exact)
+    draw_solution(tmp_path / "s.png", subject(1), 0.25, 7, data, exact)
     (figure,) = figures
     assert (tmp_path / "s.png").read_bytes()[:8] == PNG
     for axes, name, column in zip(figure.axes, ("density", "velocity"), (0, 1)):
@@ -70,7 +69,7 @@ def test_1d_shows_every_particle_and_the_exact_line(tmp_path: Path, figures: lis
 def test_2d_shows_particles_exact_map_and_their_difference(tmp_path: Path, figures: list[Any]) -> None:
     data = sample(2)
     data["density"] = data["density"] + np.linspace(-0.1, 0.2, 300)
-    draw_solution(tmp_path / "s.png", scene(2), 0.25, 7, data, exact)
+    draw_solution(tmp_path / "s.png", subject(2), 0.25, 7, data, exact)
     maps = [axes for axes in figures[0].axes if axes.get_title()]
     particles, truth, error = (axes.collections[0] for axes in maps)
     assert np.array_equal(offsets(particles), data["position"])
@@ -83,7 +82,7 @@ def test_2d_shows_particles_exact_map_and_their_difference(tmp_path: Path, figur
 
 def test_3d_shows_a_slab_the_centre_line_and_parity(tmp_path: Path, figures: list[Any]) -> None:
     data = sample(3, 20_000)
-    draw_solution(tmp_path / "s.png", scene(3), 0.25, 7, data, exact)
+    draw_solution(tmp_path / "s.png", subject(3), 0.25, 7, data, exact)
     slab, line, parity = (axes for axes in figures[0].axes if axes.get_title())
     shown = offsets(slab.collections[0])
     inside = np.abs(data["position"][:, 2] - 0.5) <= 0.055
@@ -106,7 +105,7 @@ def test_no_data_can_break_a_solution(tmp_path: Path, dim: int, case: str, with_
         data["density"][:3], data["velocity"][3], data["position"][4] = (np.nan, 1.7e308, -1.7e308), np.inf, np.nan
     with warnings.catch_warnings(), np.errstate(all="warn"):
         warnings.simplefilter("error")
-        draw_solution(tmp_path / "s.png", scene(dim), 0.25, 7, data, exact if with_exact else None)
+        draw_solution(tmp_path / "s.png", subject(dim), 0.25, 7, data, exact if with_exact else None)
     assert [path.name for path in tmp_path.iterdir()] == ["s.png"]
     assert (tmp_path / "s.png").read_bytes()[:8] == PNG
 
@@ -114,7 +113,7 @@ def test_no_data_can_break_a_solution(tmp_path: Path, dim: int, case: str, with_
 def test_particles_that_are_not_finite_are_counted(tmp_path: Path, figures: list[Any]) -> None:
     data = sample(1)
     data["density"][:3], data["velocity"][2:5] = np.nan, np.inf
-    draw_solution(tmp_path / "s.png", scene(1), 0.25, 7, data, exact)
+    draw_solution(tmp_path / "s.png", subject(1), 0.25, 7, data, exact)
     assert "5 of 300 particles not finite" in figures[0]._suptitle.get_text()
     assert len(figures[0].axes[0].lines[0].get_xdata()) == 295
 
@@ -125,7 +124,7 @@ def row(step: int, density: Any, error: Any = None) -> dict[str, Any]:
 
 def test_errors_are_drawn_where_they_are_recorded_on_a_log_axis(tmp_path: Path, figures: list[Any]) -> None:
     rows = [row(0, 1.0), row(10, 0.5, 1e-3), row(20, 0.25), row(30, 0.125, 4e-3)]
-    draw_error(tmp_path / "e.png", rows, scene(1))
+    draw_error(tmp_path / "e.png", rows, subject(1))
     axes = figures[0].axes[0]
     curves = {line.get_label(): line for line in axes.lines}
     assert axes.get_yscale() == "log"
@@ -140,7 +139,7 @@ def test_errors_are_drawn_where_they_are_recorded_on_a_log_axis(tmp_path: Path, 
 
 
 def test_an_unstable_end_is_marked_at_its_time(tmp_path: Path, figures: list[Any]) -> None:
-    draw_error(tmp_path / "e.png", [row(0, 1.0), row(10, 1e5), row(20, np.inf)], scene(1), unstable=True)
+    draw_error(tmp_path / "e.png", [row(0, 1.0), row(10, 1e5), row(20, np.inf)], subject(1), unstable=True)
     marks = [line for line in figures[0].axes[0].lines if "unstable at step 20" in line.get_label()]
     assert len(marks) == 1 and list(marks[0].get_xdata()) == [0.2, 0.2]
 
@@ -163,7 +162,7 @@ def test_a_picture_that_fails_keeps_the_old_one(tmp_path: Path) -> None:
         raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
-        draw_solution(tmp_path / "s.png", scene(1), 0.25, 7, sample(1), broken)
+        draw_solution(tmp_path / "s.png", subject(1), 0.25, 7, sample(1), broken)
     assert [path.name for path in tmp_path.iterdir()] == ["s.png"] and (tmp_path / "s.png").read_bytes() == old
 
 
@@ -195,4 +194,4 @@ def test_huge_ids_do_not_overflow() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         ids = np.arange(1000) + (2**62)
-        assert 90 <= len(plots.gather_sample(of_ids(ids), COMM, 100)["ids"]) <= 100
+        assert 90 <= len(gather_sample(of_ids(ids), COMM, 100)["ids"]) <= 100

@@ -123,7 +123,7 @@ def test_history_reads_back_to_the_same_bits_and_none_is_empty(tmp_path: Path) -
 
 def test_a_run_without_snapshots_never_imports_h5py() -> None:
     code = (
-        "import sys; import mpipic.io.run_directory, mpipic.plots.pictures, mpipic.console;"
+        "import sys; import mpipic.io.run_directory, mpipic.plots.solution, mpipic.console;"
         "print({'h5py', 'matplotlib', 'rich'}.intersection(sys.modules))"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "set()\n"

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from mpipic.files import write_json
-from mpipic.plots.pictures import draw_work_precision
+from mpipic.plots.work_precision import draw_work_precision
 from mpipic.scene.records import SceneError
 from mpipic.study.file import Study, load
 from mpipic.study.pareto import cheapest, fit_order, front, most_accurate

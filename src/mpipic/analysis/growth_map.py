@@ -13,6 +13,7 @@ from mpi4py import MPI
 from mpipic.analysis.filter_choice import Choice
 from mpipic.analysis.growth import analyse
 from mpipic.analysis.recurrence import nearest_flows
+from mpipic.arrays import FloatArray
 from mpipic.console import Console
 from mpipic.errors import NotConverged
 from mpipic.files import write_csv
@@ -121,11 +122,21 @@ def run(
     if comm.rank == 0:
         output.mkdir(parents=True, exist_ok=True)
         _write(output / "stability-map.csv", axes, found)
-        from mpipic.plots.growth_map import draw_map
-
-        draw_map(output / "stability-map.png", axes, found, scene, BORDER)
+        _draw(output / "stability-map.png", axes, found, f"{scene.name}: growth per step")
     console.message(f"map of {len(found)} points in {output}")
     return found
+
+
+def _draw(path: Path, axes: Sequence[Axis], found: Sequence[Point], title: str) -> None:
+    from mpipic.plots.growth_map import Scale, draw_map
+
+    x, y = (Scale(axis.key, np.array(axis.values)) for axis in axes)
+    growth: dict[str, FloatArray] = {}
+    for point in found:
+        values = growth.setdefault(point.filter, np.full((len(x.values), len(y.values)), np.nan))
+        if point.growth is not None:
+            values[axes[0].values.index(point.x), axes[1].values.index(point.y)] = point.growth
+    draw_map(path, x, y, growth, BORDER, title)
 
 
 def _write(path: Path, axes: Sequence[Axis], found: Sequence[Point]) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from mpi4py import MPI
@@ -23,6 +24,9 @@ from mpipic.mapping.mapping import Mapping
 from mpipic.mesh.grid import Grid
 from mpipic.run.loop import check_filter, populate, solution_of
 from mpipic.scene.records import Scene
+
+if TYPE_CHECKING:
+    from mpipic.plots.spectra import Curve
 
 PHASE = 0.3
 WAVES = 64
@@ -116,10 +120,24 @@ def run(
         lines = ((p.direction, p.wave, p.lambda_over_h, p.filter, p.kept) for p in points)
         write_csv(output / "spectrum.csv", COLUMNS, lines)
         if plot:
-            from mpipic.plots.pictures import draw_spectrum
+            from mpipic.plots.spectra import draw_spectrum
 
-            draw_spectrum(output / "spectrum.png", points, scene)
+            draw_spectrum(output / "spectrum.png", _curves(points), f"{scene.name}: what one application keeps")
     console.message(f"spectra of {len(labels)} filters in {output}")
+
+
+def _curves(points: Sequence[Kept]) -> list[Curve]:
+    """Return the points as the picture joins them: a curve for each filter and direction, by length of the waves."""
+    from mpipic.plots.spectra import Curve
+
+    families: dict[tuple[str, str], list[tuple[float, float]]] = {}
+    for point in points:
+        families.setdefault((point.direction, point.filter), []).append((point.lambda_over_h, point.kept))
+    curves = []
+    for (direction, label), pairs in families.items():
+        lengths, kept = zip(*sorted(pairs), strict=True)
+        curves.append(Curve(direction, label, lengths, kept))
+    return curves
 
 
 def _rows(points: Sequence[Kept], direction: str, labels: Sequence[str]) -> list[list[str]]:

@@ -214,11 +214,15 @@ def _at_least_a_millisecond(seconds: dict[str, float]) -> dict[str, float]:
 
 
 def _draw(directory: RunDirectory, simulation: Simulation, outcome: Outcome, recorder: Recorder) -> None:
-    from mpipic.plots.pictures import draw_error, draw_solution, gather_sample
+    from mpipic.plots.history import draw_error
+    from mpipic.plots.sample import gather_sample
+    from mpipic.plots.solution import draw_solution
+    from mpipic.plots.style import Subject
 
     sample = gather_sample(simulation.particles, simulation.comm)
     if sample is None:
         return
     scene, step = simulation.scene, simulation.step
-    draw_error(directory.path / ERROR_PLOT, recorder.rows, scene, outcome.status == "unstable")
-    draw_solution(directory.path / SOLUTION_PLOT, scene, simulation.time, step, sample, simulation.exact)
+    subject = Subject(scene.name, scene.filter.kind, scene.grid.length, scene.h)
+    draw_error(directory.path / ERROR_PLOT, recorder.rows, subject, outcome.status == "unstable")
+    draw_solution(directory.path / SOLUTION_PLOT, subject, simulation.time, step, sample, simulation.exact)

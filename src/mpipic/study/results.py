@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from mpipic.files import write_csv
+from mpipic.plots.work_precision import Mark
 from mpipic.scene.records import Scene
 from mpipic.scene.text import show
 from mpipic.study.file import NORMS, QUANTITIES, Study
@@ -243,18 +244,6 @@ def content(
 
 
 # ------------------------------------------------------------ for the picture
-
-
-@dataclass(frozen=True)
-class Mark:
-    """A point of the work-precision picture; those of one scheme and one line are joined. No error: unstable."""
-
-    scheme: str
-    line: str
-    seconds: float
-    spread: tuple[float, float]
-    error: float | None
-    on_front: bool
 
 
 def joined(study: Study) -> Axis | None:

@@ -14,6 +14,7 @@ from typing import Any
 from mpipic.console import Console, duration
 from mpipic.errors import OutputError
 from mpipic.files import write_json, write_text
+from mpipic.plots.work_precision import draw_work_precision
 from mpipic.scene.records import Problem, SceneError
 from mpipic.study import report
 from mpipic.study.file import Study, load
@@ -209,8 +210,6 @@ def _pair(seconds: float, error: float) -> str:
 
 
 def _write(study: Study, folder: Path, rows: Sequence[Row], runs: Sequence[Sequence[Any]], command: str) -> None:
-    from mpipic.plots.pictures import draw_work_precision
-
     every = [record for of_it in runs for record in of_it]
     versions: dict[str, str] = next((r["versions"] for r in reversed(every) if r.get("versions")), {})
     origin = Origin(command, every[-1]["machine"] if every else machine(), versions)
