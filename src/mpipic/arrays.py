@@ -10,6 +10,8 @@ import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
+Shape = tuple[int, ...]
+"""Of one value: () for a scalar, (d,) for a vector, (d, d) for a tensor."""
 
 
 class ParticleArrays(Protocol):
@@ -32,6 +34,12 @@ class ParticleArrays(Protocol):
 
 
 def columns_of(values: npt.ArrayLike) -> FloatArray:
-    """Values (n,) or (n, k) as a C-contiguous array (n, k), copied only where they are not one."""
+    """Return values (n, *shape) as a C-contiguous array (n, k), one column a component; copied only where needed."""
     array = np.asarray(values, dtype=np.float64)
-    return np.ascontiguousarray(array if array.ndim == 2 else array[:, None])
+    rows = len(array)
+    return np.ascontiguousarray(array.reshape(rows, -1) if array.size or not rows else array.reshape(rows, 0))
+
+
+def size_of(shape: Shape) -> int:
+    """Return the number of components of a value of this shape."""
+    return int(np.prod(shape, dtype=np.int64))

@@ -128,8 +128,8 @@ def check(scene: SceneFile = None, set_: Overrides = None, preset: Preset = None
     with _stating(comm):
         loaded = _load(scene, set_, comm, preset)
         from mpipic.console import Console
+        from mpipic.run.build import check_filter, solution_of
         from mpipic.run.describe import describe
-        from mpipic.run.loop import check_filter, solution_of
 
         solution_of(loaded)
         _check_particle_file(loaded, comm)

@@ -144,9 +144,12 @@ class Console:
         """Print error reports: two lines each, density and velocity, with l1, l2 and linf; None prints as a dash."""
         rows = []
         for report in reports:
-            share = report.null_space_fraction
-            rows.append((str(report.step), f"{report.time:.6g}", "density", *_norms(report.density), _number(share)))
-            rows.append(("", "", "velocity", *_norms(report.velocity), ""))
+            shares = [_number(share) for share in report.shares.values()] or ["-"]
+            first = (str(report.step), f"{report.time:.6g}")
+            last = ", ".join(shares)
+            for name, norms in report.errors.items():
+                rows.append((*first, name, *_norms(norms), last))
+                first, last = ("", ""), ""
         if rows:
             self.table("errors", ("step", "time", "of", "l1", "l2", "linf", "null-space share"), rows)
 

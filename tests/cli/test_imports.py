@@ -38,11 +38,11 @@ def test_the_paper_scene_imports_neither_slepc_nor_h5py_nor_with_no_plots_matplo
     assert found.isdisjoint({"slepc4py", "h5py", "matplotlib", "pandas"})
 
 
-SOLVERS = {"slepc4py", "mpipic.mapping.gram", "mpipic.filters.row_space"}
+SOLVERS = {"slepc4py", "mpipic.mapping.gram_stencil", "mpipic.filters.row_space"}
 # kinds of filters: what they import of SOLVERS, and what PETSc and SLEPc build for them
 BUILT: dict[str, tuple[set[str], set[str]]] = {
     "none local order chebyshev": (set(), set()),
-    "exact": ({"mpipic.mapping.gram"}, {"Krylov Solver", "Matrix"}),
+    "exact": ({"mpipic.mapping.gram_stencil"}, {"Krylov Solver", "Matrix"}),
     "svd": ({"slepc4py", "mpipic.filters.row_space"}, {"SVD Solver", "Matrix"}),
 }
 
@@ -62,7 +62,7 @@ def test_a_scene_imports_and_builds_the_solvers_of_its_filter_and_no_others(
     assert "Star Forest Graph" in objects, "every scene has one"
     imported, built = found & SOLVERS, objects & {"Krylov Solver", "SVD Solver", "Matrix"}
     if kinds == "svd":  # its CFL limit is that of the exact filter, the same operator, and found with that
-        imported, built = imported - {"mpipic.mapping.gram"}, built - {"Krylov Solver"}
+        imported, built = imported - {"mpipic.mapping.gram_stencil"}, built - {"Krylov Solver"}
     assert (imported, built) == BUILT[kinds]
 
 

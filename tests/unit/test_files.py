@@ -65,13 +65,13 @@ def test_json_is_strict_and_unpacks_records_numpy_and_paths(tmp_path: Path) -> N
 
 
 def test_csv_reads_back_to_the_same_bits_and_none_is_empty(tmp_path: Path) -> None:
-    row = [0.1 + 0.2, np.float64(1 / 3), np.float32(0.5), 5e-324, np.int64(10), None, "a,\n\"b\"", True, float("nan")]
+    row = [0.1 + 0.2, np.float64(1 / 3), np.float32(0.5), 5e-324, np.int64(10), None, 'a,\n"b"', True, float("nan")]
     write_csv(tmp_path / "x.csv", [f"c{k}" for k in range(len(row))], iter([row]))
     assert b"\r" not in (tmp_path / "x.csv").read_bytes()
     with (tmp_path / "x.csv").open(newline="", encoding="utf-8") as stream:
         header, cells = csv.reader(stream)
     assert header[:2] == ["c0", "c1"] and [float(cell) for cell in cells[:4]] == row[:4]
-    assert cells[4:] == ["10", "", "a,\n\"b\"", "True", "nan"]
+    assert cells[4:] == ["10", "", 'a,\n"b"', "True", "nan"]
 
 
 def test_a_write_that_fails_keeps_the_old_file_and_leaves_no_other(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ import pytest
 from petsc4py import PETSc
 
 from dense_helpers import GRIDS, PATTERNS, Dense, close, pattern
-from mpipic.mapping.gram import GramStencil
+from mpipic.mapping.gram_stencil import GramStencil
 from mpipic.mapping.mapping import Mapping
 from mpipic.mapping.preconditioner import TensorPreconditioner, inverse_stencil
 from mpipic.mapping.solver import Series

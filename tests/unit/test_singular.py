@@ -175,7 +175,7 @@ from mpipic.filters import FILTERS, ExactFilter, LocalFilter
 from mpipic.mesh.grid import Grid
 from mpipic.mapping.mapping import Mapping
 mapping = Mapping(Grid((4,), (1.0,), MPI.COMM_SELF), np.linspace(0.05, 0.95, 9)[:, None])
-assert "mpipic.mapping.gram" not in sys.modules and "mpipic.filters.row_space" not in sys.modules
+assert "mpipic.mapping.gram_stencil" not in sys.modules and "mpipic.filters.row_space" not in sys.modules
 assert LocalFilter(mapping).apply(np.ones(9)).shape == ExactFilter(mapping).apply(np.ones(9)).shape
 svd = FILTERS["svd"](mapping)
 print(sorted(name for name in sys.modules if name.startswith("slepc4py")))

@@ -131,7 +131,7 @@ def time_steps(dim: int, kind: str, plan: Plan, comm: MPI.Comm, triad: Triad) ->
     simulation = Simulation(scene, comm)
     setup = perf_counter() - began
     for _ in range(WARM_STEPS):
-        simulation.formulation.step()
+        simulation.physics.step()
     simulation.phases.seconds.clear()
     seconds, triads = [], []
     for _ in range(plan.repeats):
@@ -139,7 +139,7 @@ def time_steps(dim: int, kind: str, plan: Plan, comm: MPI.Comm, triad: Triad) ->
         comm.Barrier()
         began = perf_counter()
         for _ in range(plan.steps):
-            simulation.formulation.step()
+            simulation.physics.step()
         comm.Barrier()
         seconds.append((perf_counter() - began) / plan.steps / simulation.total)
     simulation.close()

@@ -20,8 +20,7 @@ from mpipic.console import Console
 from mpipic.draws import noise
 from mpipic.files import write_json
 from mpipic.mapping.mapping import Mapping
-from mpipic.mesh.grid import Grid
-from mpipic.run.loop import check_filter, populate, solution_of
+from mpipic.run.build import check_filter, place
 from mpipic.run.verb import versions
 from mpipic.scene.records import Scene
 
@@ -71,8 +70,7 @@ class Comparison:
 
     def __init__(self, scene: Scene, comm: MPI.Comm) -> None:
         self.scene, self.comm = scene, comm
-        self.grid = Grid(scene.grid.cells, scene.grid.length, comm, scene.mapping.basis)
-        self.particles = populate(scene, self.grid, solution_of(scene))
+        self.grid, self.particles = place(scene, comm)
         self.total = int(comm.allreduce(self.particles.count))
         self.mapping = Mapping.at(self.grid, self.particles)
         self.q = noise(self.particles.ids)

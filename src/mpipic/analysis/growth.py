@@ -114,11 +114,9 @@ class Monodromy:
         self.applications += 1
         simulation = self.simulation
         particles = simulation.particles
-        particles.replace(self.coordinate, x.reshape(-1, self.width) * self.scales, self.ids)
-        simulation.sweep.remap()
-        simulation.formulation.forget()
+        simulation.set_state(self.coordinate, x.reshape(-1, self.width) * self.scales, self.ids)
         for _ in range(self.recurrence.steps):
-            simulation.formulation.step()
+            simulation.physics.step()
         successor = self.recurrence.successor(np.array(particles.ids))
         rows = np.column_stack([self._index[successor].astype(float), particles.state / self.scales])
         arrived = self.routes.exchange(rows, self._home[successor]).rows

@@ -22,7 +22,7 @@ from mpipic.console import Console
 from mpipic.files import write_csv
 from mpipic.mapping.mapping import Mapping
 from mpipic.mesh.grid import Grid
-from mpipic.run.loop import check_filter, populate, solution_of
+from mpipic.run.build import check_filter, place
 from mpipic.scene.records import Scene
 
 if TYPE_CHECKING:
@@ -74,8 +74,7 @@ def directions(cells: Sequence[int]) -> list[tuple[str, tuple[int, ...], list[in
 
 def measure(scene: Scene, choices: Sequence[Choice], comm: MPI.Comm, phase: float = PHASE) -> list[Kept]:
     """Every point of the spectra at the scene's initial positions; `phase` in radians. Collective."""
-    grid = Grid(scene.grid.cells, scene.grid.length, comm, scene.mapping.basis)
-    particles = populate(scene, grid, solution_of(scene))
+    grid, particles = place(scene, comm)
     total = int(comm.allreduce(particles.count))
     mapping = Mapping.at(grid, particles)
     turn = 2.0 * np.pi * np.ascontiguousarray(particles.coordinate) / np.array(grid.cells)

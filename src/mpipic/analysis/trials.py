@@ -22,7 +22,7 @@ from mpipic.arrays import FloatArray
 from mpipic.console import Console
 from mpipic.errors import NotConverged
 from mpipic.files import write_json
-from mpipic.run.diagnostics import ErrorReport, measure
+from mpipic.run.diagnostics import ErrorReport, norms
 from mpipic.run.loop import Simulation
 from mpipic.run.verb import versions
 from mpipic.scene.records import Scene, SceneError
@@ -54,7 +54,7 @@ class _Watch:
 
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
-        self.peaks: list[float] = [simulation.sweep.peak]
+        self.peaks: list[float] = [simulation.physics.peak]
 
     def record(self, step: int, time: float, peak: float, report: ErrorReport | None) -> None:
         """Nothing: peaks come with every step."""
@@ -64,7 +64,7 @@ class _Watch:
 
     def progress(self, step: int, time: float) -> None:
         """Keep this rank's largest density."""
-        self.peaks.append(self._simulation.sweep.peak)
+        self.peaks.append(self._simulation.physics.peak)
 
     def growth(self, comm: MPI.Comm, period: int) -> float | None:
         """Growth per step of max |ρ| over all ranks, the slope of its logarithm over whole periods.
@@ -115,10 +115,8 @@ def _run(case: Case, scene: Scene, comm: MPI.Comm) -> dict[str, Any]:
     if case.place is not None:
         _place(simulation, case.place(simulation.grid, np.random.default_rng(0)))
     if case.amplitude != 1.0:
-        simulation.particles.state[...] *= case.amplitude
         simulation.limit *= case.amplitude
-        simulation.sweep.remap()
-    simulation.formulation.forget()
+        simulation.set_state(state=simulation.particles.state * case.amplitude)
     watch = _Watch(simulation)
     outcome = simulation.run(watch)
     error = _error(case, simulation) if outcome.status == "completed" else None
@@ -142,29 +140,19 @@ def _run(case: Case, scene: Scene, comm: MPI.Comm) -> dict[str, Any]:
 
 def _place(simulation: Simulation, coordinate: FloatArray) -> None:
     """Put the particles at these coordinates in cells, (n, d), the same on all ranks, as at t = 0. Collective."""
-    grid, particles = simulation.grid, simulation.particles
+    grid = simulation.grid
     coordinate = grid.wrapped(coordinate)
     ids = np.flatnonzero(grid.owner_of(coordinate) == grid.rank)
-    mine = coordinate[ids]
-    particles.replace(mine, np.zeros((len(ids), 1 + grid.dim)), ids)
-    if simulation.exact is not None:
-        particles.state[:, 0], particles.state[:, 1:] = simulation.exact(particles.position, 0.0)
-    simulation.total = int(simulation.comm.allreduce(particles.count))
-    simulation.sweep.remap()
+    simulation.set_state(coordinate[ids], None, ids)
 
 
 def _error(case: Case, simulation: Simulation) -> float | None:
     """l2 error of the density, relative to the amplitude. Collective."""
-    if simulation.exact is None or not simulation.total:
+    exact = simulation.physics.exact(simulation.particles.position, simulation.time)
+    if exact is None or not simulation.total:
         return None
-    solution, size = simulation.exact, case.amplitude
-
-    def scaled(x: FloatArray, time: float) -> tuple[FloatArray, FloatArray]:
-        density, velocity = solution(x, time)
-        return density * size, velocity * size
-
-    report = measure(simulation.particles, scaled, simulation.step, simulation.time, simulation.total, simulation.comm)
-    return report.density.l2 / size
+    error = simulation.particles["density"] - case.amplitude * exact["density"]
+    return norms(error, simulation.total, simulation.comm).l2 / case.amplitude
 
 
 def _against_prediction(case: Case, scene: Scene, watch: _Watch, status: str, comm: MPI.Comm) -> dict[str, Any]:

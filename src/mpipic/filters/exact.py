@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mpipic.arrays import FloatArray
 from mpipic.filters.family import NodalFilter
-from mpipic.mapping.mapping import NodalMapping
+
+if TYPE_CHECKING:
+    from mpipic.mapping.base import NodalMapping
 
 
 class ExactFilter(NodalFilter):

@@ -9,10 +9,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Hashable
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from mpipic.arrays import FloatArray
-from mpipic.mapping.mapping import Mapping, NodalMapping
+
+if TYPE_CHECKING:
+    from mpipic.mapping.base import NodalMapping
 
 FILTERS: dict[str, type[Filter]] = {}
 """Kind to class."""
@@ -46,8 +48,8 @@ class Filter(ABC):
 
         Parameters
         ----------
-        q : (n,) or (n, k)
-            Particle values, any unit, columns filtered one by one. Not modified.
+        q : (n, *shape)
+            Particle values, any unit, components filtered one by one. Not modified.
 
         Returns
         -------
@@ -55,7 +57,7 @@ class Filter(ABC):
 
         Notes
         -----
-        Collective; needs a `Mapping`.
+        Collective.
         """
 
     def __call__(self, q: FloatArray) -> FloatArray:
@@ -75,11 +77,6 @@ class Filter(ABC):
         """What the filter found out about itself at its present positions, for reports."""
         return {}
 
-    def _particles(self) -> Mapping:
-        if not isinstance(self.mapping, Mapping):
-            raise TypeError(f"apply needs a Mapping, which maps any values, not a {type(self.mapping).__name__}")
-        return self.mapping
-
 
 class NodalFilter(Filter):
     """A filter F = Φ N Φᵀ."""
@@ -92,7 +89,7 @@ class NodalFilter(Filter):
 
         Parameters
         ----------
-        sums : (local_nodes,) or (local_nodes, k)
+        sums : (local_nodes, *shape)
             Φᵀq, or ΦᵀVq with particle weights, right on own and ghost nodes.
         out
             Where to put the result, shape of `sums`.
@@ -104,8 +101,7 @@ class NodalFilter(Filter):
 
     def apply(self, q: FloatArray) -> FloatArray:
         """F q; see `Filter.apply`. Collective; one pass to the nodes, one back, and what `coefficients` costs."""
-        mapping = self._particles()
-        return mapping.g2p(self.coefficients(mapping.sums(q)))
+        return self.mapping.g2p(self.coefficients(self.mapping.sums(q)))
 
 
 def create(kind: str, mapping: NodalMapping, settings: Any) -> Filter:

@@ -19,12 +19,12 @@ import psutil
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from mpipic.arrays import FloatArray
+from mpipic.arrays import FloatArray, columns_of
 from mpipic.errors import NotConverged
 from mpipic.kernels import spline
 
 if TYPE_CHECKING:
-    from mpipic.mapping.mapping import Mapping
+    from mpipic.mapping.base import NodalMapping
 
 TOLERANCE = 1e-14
 """Relative residual of the triplets."""
@@ -60,14 +60,14 @@ class RowSpace:
     Collective. O(m² n + m³) work over the ranks, memory as in `bytes_needed`.
     """
 
-    def __init__(self, mapping: Mapping) -> None:
+    def __init__(self, mapping: NodalMapping) -> None:
         self.grid = mapping.grid
         self.each = np.ones(mapping.count) if mapping.weight is None else np.sqrt(mapping.weight)
         nodes, particles = self.grid.node_count, self.grid.comm.allreduce(mapping.count)
         check_memory(nodes, particles, self.grid.comm)
         self._decompose(mapping, min(nodes, particles), max(nodes, particles))
 
-    def _decompose(self, mapping: Mapping, triplets: int, longest: int) -> None:
+    def _decompose(self, mapping: NodalMapping, triplets: int, longest: int) -> None:
         transposed = _transposed_matrix(mapping, self.each)
         matrix = transposed.transpose(PETSc.Mat())
         solver, values, vectors = "none", np.empty(0), np.empty((0, mapping.count))
@@ -97,11 +97,11 @@ class RowSpace:
         return self.basis.nbytes
 
     def project(self, q: FloatArray) -> FloatArray:
-        """V^-½ V_r V_rᵀ V^½ q, (n,) or (n, k). Collective; one reduction of r k numbers."""
-        each = self.each.reshape((-1,) + (1,) * (q.ndim - 1))
-        amounts = np.ascontiguousarray(self.basis.T @ (each * q))
+        """Return V^-½ V_r V_rᵀ V^½ q, (n, *shape). Collective; one reduction of r numbers a component."""
+        each = self.each[:, None]
+        amounts = np.ascontiguousarray(self.basis.T @ (each * columns_of(q)))
         self.grid.reduce(amounts)
-        return np.asarray((self.basis @ amounts) / each)
+        return np.asarray((self.basis @ amounts) / each).reshape(q.shape)
 
 
 def _all_triplets(matrix: PETSc.Mat, triplets: int, own: int) -> tuple[str, FloatArray, FloatArray]:
@@ -151,7 +151,7 @@ def _read(solver: Any, matrix: PETSc.Mat, triplets: int, own: int) -> tuple[Floa
     return values, vectors
 
 
-def _transposed_matrix(mapping: Mapping, each: FloatArray) -> PETSc.Mat:
+def _transposed_matrix(mapping: NodalMapping, each: FloatArray) -> PETSc.Mat:
     """(S V^-½)ᵀ, n × m: a row a particle, entries V_p^½ φ_i(x_p) / d_i; nodes numbered rank by rank."""
     grid = mapping.grid
     nodes, corners = grid.nodes, (grid.degree + 1) ** grid.dim

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Hashable
+from typing import TYPE_CHECKING
 
 from mpipic.arrays import FloatArray
 from mpipic.filters.family import NodalFilter
-from mpipic.mapping.mapping import NodalMapping
+
+if TYPE_CHECKING:
+    from mpipic.mapping.base import NodalMapping
 
 
 class LocalFilter(NodalFilter):
@@ -59,7 +62,7 @@ class _Series(NodalFilter):
 
     def _smooth(self, nodal: FloatArray) -> FloatArray:
         """SΦ nodal."""
-        gram = self.mapping.apply_gram(nodal)
+        gram = self.mapping.gram.apply(nodal)
         return self.mapping.divide(gram, out=gram)
 
     @abstractmethod

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mpipic.arrays import FloatArray
 from mpipic.filters.family import Filter
-from mpipic.mapping.mapping import NodalMapping
+
+if TYPE_CHECKING:
+    from mpipic.mapping.base import NodalMapping
 
 
 class SvdFilter(Filter):
@@ -37,9 +39,8 @@ class SvdFilter(Filter):
         """Row space of S at the present positions, a `RowSpace`. Collective where they have changed."""
         from mpipic.filters.row_space import RowSpace
 
-        mapping = self._particles()
-        if self._version != mapping.version:
-            self._rows, self._version = RowSpace(mapping), mapping.version
+        if self._version != self.mapping.version:
+            self._rows, self._version = RowSpace(self.mapping), self.mapping.version
         return self._rows
 
     def apply(self, q: FloatArray) -> FloatArray:

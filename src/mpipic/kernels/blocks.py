@@ -46,6 +46,15 @@ def move(x, shift, period, tolerance):
         x[p] = t + period * np.float64(t < -tolerance)
 
 
+@exactly
+def move_each(x, shifts, period, tolerance):
+    """As `move`, each by its own shift."""
+    for p in range(x.size):
+        t = x[p] + shifts[p]
+        t -= period * np.float64(t >= period - tolerance)
+        x[p] = t + period * np.float64(t < -tolerance)
+
+
 @hot
 def find(axes, p0, count, geometry, shape, layout, node, cell, fraction, moving):
     """Nodes, cells and local coordinates of a block, after moving it if `moving`."""

@@ -76,9 +76,14 @@ def scale_rows(values, factors, out):
 
 @hot
 def scale_changed(values, rate, change, factors, out):
-    """out = (values + rate change) times one factor a row, column 0."""
-    for n in range(out.shape[0]):
-        out[n, 0] = (values[n, 0] + rate * change[n, 0]) * factors[n]
+    """out = (values + rate change) times one factor a row."""
+    if values.shape[1] == 1:
+        for n in range(out.shape[0]):
+            out[n, 0] = (values[n, 0] + rate * change[n, 0]) * factors[n]
+    else:
+        for n in range(out.shape[0]):
+            for k in range(out.shape[1]):
+                out[n, k] = (values[n, k] + rate * change[n, k]) * factors[n]
 
 
 @hot

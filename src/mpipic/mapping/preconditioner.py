@@ -9,17 +9,19 @@ from it has a smaller diagonal than its row sum says), halfway to the row sums o
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from petsc4py import PETSc
 
 from mpipic.arrays import FloatArray
 from mpipic.kernels import stencil
-from mpipic.mapping.gram import GramStencil
 from mpipic.mesh.halo import Halo, PaddedColumns
 
-REACH = {1: 2, 2: 5, 3: 8}
+if TYPE_CHECKING:
+    from mpipic.mapping.gram_stencil import GramStencil
+
+STENCIL_REACH = {1: 2, 2: 5, 3: 8}
 """Degree of the splines to the nodes either side that the stencil along an axis takes."""
 TILT = {1: 0.0, 2: 0.25, 3: 0.6}
 """Degree to the exponent t of the scaling, diag(G)^(1 - t) diag(d)^t."""
@@ -55,13 +57,14 @@ class TensorPreconditioner:
 
     def __init__(self, matrix: GramStencil) -> None:
         self.matrix = matrix
-        grid, self._reach = matrix.grid, REACH[matrix.grid.degree]
+        grid, self._reach = matrix.grid, STENCIL_REACH[matrix.grid.degree]
         self.halo = Halo(grid.comm, grid.cells, grid.starts, self._reach)
         self._values = PaddedColumns(self.halo)
         shape = self.halo.ghost_shape
         self._plane, self._line = np.empty(int(np.prod(shape[:2]))), np.empty(shape[0])
         self.weights = np.eye(1, self._reach + 1).repeat(3, axis=0)
         self._tilt: FloatArray | None = None
+        self._version = -1
 
     @property
     def nbytes(self) -> int:
@@ -69,8 +72,11 @@ class TensorPreconditioner:
         return self._values.nbytes + self._plane.nbytes + self._line.nbytes
 
     def refresh(self) -> None:
-        """Take scaling and couplings of the matrix as it is now."""
+        """Take scaling and couplings of the matrix as it is now, unless they are. Collective."""
         matrix, tilt = self.matrix, TILT[self.matrix.grid.degree]
+        if self._version == matrix.version:
+            return
+        self._version = matrix.version
         padded = None
         if tilt and matrix.penalty is None:
             with np.errstate(divide="ignore", invalid="ignore"):

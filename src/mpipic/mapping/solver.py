@@ -17,8 +17,8 @@ from petsc4py import PETSc
 from mpipic.arrays import FloatArray
 from mpipic.errors import NotConverged
 from mpipic.kernels import stencil
-from mpipic.mapping.gram import GramMatrix, GramStencil, Penalty
-from mpipic.mapping.preconditioner import TensorPreconditioner
+from mpipic.mapping.base import NodalMapping
+from mpipic.mapping.gram_stencil import GramStencil, Penalty
 from mpipic.mesh.petsc_objects import close_at_exit
 
 EARLIER = 2
@@ -73,7 +73,7 @@ class GramSolver:
     Parameters
     ----------
     mapping
-        Where G comes from; followed as it moves.
+        Where G comes from; followed as it moves. Without a penalty, all who solve share its stencil.
     tolerance
         On (r, B r)^½ / (b, B b)^½, r the residual, B the preconditioner: where B is near G⁻¹, that is the relative
         error of Φ a on the particles.
@@ -94,10 +94,12 @@ class GramSolver:
     """
 
     def __init__(
-        self, mapping: GramMatrix, tolerance: float, prefix: str = "filter_", penalty: Penalty | None = None
+        self, mapping: NodalMapping, tolerance: float, prefix: str = "filter_", penalty: Penalty | None = None
     ) -> None:
-        self.matrix = GramStencil(mapping, penalty)
-        self.preconditioner = TensorPreconditioner(self.matrix)
+        self.matrix = GramStencil(mapping, penalty) if penalty else mapping.gram.stencil
+        self.mapping = mapping  # which a stencil that all share does not keep alive
+        self.preconditioner = self.matrix.preconditioner
+        self._version = -1
         self.tolerance, self.prefix, self.iterations = tolerance, prefix, 0
         self._earlier: dict[Hashable, Series] = {}
         self._systems: dict[int, _System] = {}
@@ -144,10 +146,11 @@ class GramSolver:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the arrays held, without PETSc's work vectors."""
+        """Bytes of the arrays held, without PETSc's work vectors and a stencil that is the mapping's."""
         series = sum(earlier.nbytes for earlier in self._earlier.values())
         vectors = 8 * 2 * self.matrix.root.size * sum(self._systems)
-        return self.matrix.nbytes + self.preconditioner.nbytes + series + vectors
+        own = self.matrix.nbytes if self.matrix.penalty else 0
+        return own + self.preconditioner.nbytes + series + vectors
 
     def solve(
         self, sums: FloatArray, series: Hashable | None = None, quantities: Sequence[int] | None = None
@@ -164,7 +167,9 @@ class GramSolver:
         NotConverged
         """
         matrix, nodes = self.matrix, self.matrix.grid.nodes
-        if matrix.refresh():
+        matrix.refresh()
+        if self._version != matrix.version:
+            self._version = matrix.version
             self.preconditioner.refresh()
             for system in self._systems.values():
                 self._follow(system)

@@ -13,8 +13,9 @@ from typing import ClassVar
 import numpy as np
 
 from mpipic.arrays import FloatArray, IntArray
-from mpipic.kernels import BY_DIMENSION, blocks, generic, spline
-from mpipic.mapping.mapping import NodalMapping
+from mpipic.kernels import generic
+from mpipic.mapping.base import NodalMapping
+from mpipic.mapping.gram import Gram
 from mpipic.mesh.grid import Grid
 from mpipic.particles import migration
 from mpipic.particles.store import Particles, locate
@@ -23,7 +24,7 @@ from mpipic.particles.store import Particles, locate
 class ParticleSweep(NodalMapping):
     """The particles of a run, mapped: kept with them as they move.
 
-    Holds at the present positions the sums Φᵀ of all state columns and the row sums d; `gram`, `gradient_sums` and
+    Holds at the present positions the sums Φᵀ of all state columns and the row sums d; `gradient_sums` and
     `divergence_sums` apply what else a step needs of the mapping. `advance` ends one position and begins the next.
 
     Parameters
@@ -36,7 +37,7 @@ class ParticleSweep(NodalMapping):
 
     Attributes
     ----------
-    sums : (local_nodes, d + 2)
+    held_sums : (local_nodes, d + 2)
         Φᵀ(scalar), Φᵀ(vector), d; right on own and ghost nodes.
     weights : (local_nodes,)
         The row sums d, by themselves.
@@ -58,14 +59,16 @@ class ParticleSweep(NodalMapping):
     ) -> None:
         self.grid, self.particles = grid, particles
         self.phase = phase
-        shift = tuple(grid.rounded(np.fmod(np.asarray(displacement) / np.array(grid.h), grid.cells)).tolist())
+        in_cells = np.fmod(np.asarray(displacement) / np.array(grid.h), grid.cells)
+        self.shift = shift = tuple(grid.rounded(in_cells).tolist())
         self.moving = any(shift)
         period = tuple(map(float, grid.cells))
-        self._geometry = (grid.inverse_h, grid.tolerance, period, shift, grid.owned_start)
-        self._cells = (grid.padded_shape, grid.layout)
-        self.routes = migration.Routes(grid, shift) if migration.can_leave(grid, shift) else None
-        self.sums = grid.zeros(grid.dim + 2)
-        self.weights = self.sums[:, -1]
+        self._kernel_geometry = (grid.inverse_h, grid.tolerance, period, shift, grid.owned_start)
+        reach = migration.Reach.of_one(shift)
+        self.routes = migration.Routes(grid, reach) if migration.can_leave(grid, reach) else None
+        self.gram = Gram(self)
+        self.held_sums = grid.zeros(grid.dim + 2)
+        self.weights = self.held_sums[:, -1]
         self.inverse_weights = np.empty(grid.local_nodes)
         self.version = 0
         self._leaving = np.empty(max(1024, particles.count // 16), dtype=np.int64)
@@ -91,23 +94,18 @@ class ParticleSweep(NodalMapping):
 
     @property
     def state_sums(self) -> tuple[FloatArray, FloatArray]:
-        """Views of `sums`: Φᵀ(scalar) (local_nodes, 1) and Φᵀ(vector) (local_nodes, d)."""
-        return self.sums[:, :1], self.sums[:, 1:-1]
+        """Views of `held_sums`: Φᵀ(scalar) (local_nodes, 1) and Φᵀ(vector) (local_nodes, d)."""
+        return self.held_sums[:, :1], self.held_sums[:, 1:-1]
 
-    def divide_changed(self, sums: FloatArray, rate: float, change: FloatArray, out: FloatArray) -> FloatArray:
-        """diag(d)⁻¹ (sums + rate change), one column. Local."""
-        generic.scale_changed(sums, rate, change, self.inverse_weights, out)
-        return out
+    @property
+    def count(self) -> int:
+        """Particles on this rank."""
+        return self.particles.count
 
     @property
     def located(self) -> tuple[IntArray, FloatArray]:
         """Local cell (n,) and local coordinates (n, d) of the particles. Local; O(n)."""
         return locate(self.grid, np.ascontiguousarray(self.particles.coordinate))
-
-    @property
-    def particle_weights(self) -> FloatArray:
-        """Ones. Local."""
-        return np.ones(self.particles.count)
 
     @abstractmethod
     def gradient_sums(self, nodal: FloatArray, out: FloatArray) -> FloatArray:
@@ -124,8 +122,8 @@ class ParticleSweep(NodalMapping):
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the nodal sums and the list of leavers."""
-        return sum(a.nbytes for a in (self.sums, self.inverse_weights, self._leaving))
+        """Bytes of the nodal sums, of G where it is assembled, and of the list of leavers."""
+        return self.gram.nbytes + sum(a.nbytes for a in (self.held_sums, self.inverse_weights, self._leaving))
 
     # ------------------------------------------------------------ on particles
 
@@ -172,9 +170,9 @@ class ParticleSweep(NodalMapping):
 
     def _clear(self, weigh: bool) -> None:
         if weigh:
-            self.sums.fill(0.0)
+            self.held_sums.fill(0.0)
         else:
-            self.sums[:, :-1] = 0.0
+            self.held_sums[:, :-1] = 0.0
 
     @abstractmethod
     def _pass(self, nodal: FloatArray, rates: tuple[float, float], direct: bool, weigh: bool) -> tuple[int, int]:
@@ -186,12 +184,12 @@ class ParticleSweep(NodalMapping):
 
     def _finish_sums(self, weigh: bool) -> None:
         if weigh:
-            self.complete(self.sums)
+            self.complete(self.held_sums)
             generic.invert(self.weights, self.inverse_weights)
         else:
             # the row sums are complete already, on ghosts too: summing the halo again would count them twice
-            state = np.ascontiguousarray(self.sums[:, :-1])
-            self.sums[:, :-1] = self.complete(state)
+            state = np.ascontiguousarray(self.held_sums[:, :-1])
+            self.held_sums[:, :-1] = self.complete(state)
 
     # ------------------------------------------------------------ order in memory
 
@@ -214,188 +212,16 @@ class ParticleSweep(NodalMapping):
             self._sort()
 
 
-class Sweep(ParticleSweep):
-    """On the linear basis: one pass over memory a step, and pair moments of every cell for what happens between passes.
-
-    Notes
-    -----
-    `advance` costs O(particles), the verbs on nodal arrays O(cells). Memory per rank: nodal arrays, 3^d numbers a cell.
-    """
-
-    one_pass = True
-
-    def _allocate(self) -> None:
-        self._kernels = BY_DIMENSION[self.grid.dim]
-        self._moments = np.empty((self.grid.local_cells, 3**self.grid.dim))
-
-    @property
-    def moments(self) -> FloatArray:
-        """Pair moments of own cells, (local_cells, 3^d)."""
-        return self._moments
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of the nodal sums, the pair moments and the list of leavers."""
-        return super().nbytes + self._moments.nbytes
-
-    def gradient_sums(self, nodal: FloatArray, out: FloatArray) -> FloatArray:
-        """out += ΦᵀD^a nodal: one column to d; complete it afterwards. Local."""
-        self._kernels.cross(self._moments, *self._cells, self.grid.inverse_h, nodal, out, False)
-        return out
-
-    def divergence_sums(self, nodal: FloatArray, out: FloatArray) -> FloatArray:
-        """out += Σ_a ΦᵀD^a nodal_a: d columns to one; complete it afterwards. Local."""
-        self._kernels.cross(self._moments, *self._cells, self.grid.inverse_h, nodal, out, True)
-        return out
-
-    def _clear(self, weigh: bool) -> None:
-        super()._clear(weigh)
-        if weigh:
-            self._moments.fill(0.0)
-
-    def _pass(self, nodal: FloatArray, rates: tuple[float, float], direct: bool, weigh: bool) -> tuple[int, int]:
-        particles = self.particles
-        self.peak, breaks, left = self._kernels.advance(
-            particles.axes, particles.state, nodal, rates, self.sums, self._moments, 0, particles.count,
-            self._geometry, *self._cells, direct, weigh, self.routes is not None, self._leaving,
-        )  # fmt: skip
-        return breaks, left
-
-    def _deposit(self, start: int, stop: int, weigh: bool) -> None:
-        if start == stop:
-            return
-        particles = self.particles
-        peak = self._kernels.deposit(
-            particles.axes, particles.state, self.sums, self._moments,
-            start, stop, self._geometry, *self._cells, weigh,
-        )  # fmt: skip
-        self.peak = float(np.maximum(self.peak, peak))
-
-    def _finish_sums(self, weigh: bool) -> None:
-        if weigh and self.grid.dim == 3:
-            self._kernels.row_sums(self._moments, *self._cells, self.sums, self.sums.shape[1] - 1)
-        super()._finish_sums(weigh)
-
-
-class SplineSweep(ParticleSweep):
-    """On splines of any degree: a few passes over the particles a step, and two more for every gradient.
-
-    Notes
-    -----
-    `gram`, `gradient_sums`, `divergence_sums` and their transposes cost two passes over the particles each. Memory per
-    rank: nodal arrays, and cell and local coordinates of every particle.
-    """
-
-    one_pass = False
-
-    @property
-    def moments(self) -> None:
-        """None: everything goes by way of the particles."""
-        return None
-
-    @property
-    def located(self) -> tuple[IntArray, FloatArray]:
-        """Local cell (n,) and local coordinates (n, d) of the particles. Local."""
-        return self._cell, self._fraction
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of the nodal sums, the list of leavers, and where the particles are."""
-        return super().nbytes + self._cell.nbytes + self._fraction.nbytes
-
-    @property
-    def _slopes(self) -> tuple[FloatArray, tuple[int, ...], tuple[int, int, int]]:
-        return (np.array(self.grid.inverse_h), *self._cells)
-
-    def gradient_sums(self, nodal: FloatArray, out: FloatArray) -> FloatArray:
-        """out += ΦᵀD^a nodal: one column to d; complete it afterwards. Local."""
-        seen = np.zeros((self.particles.count, self.grid.dim))
-        column = np.ascontiguousarray(nodal[:, 0])
-        spline.add_gradient(self.grid.degree, *self.located, column, 1.0, *self._slopes, seen)
-        spline.add_sums(self.grid.degree, *self.located, seen, *self._cells, out)
-        return out
-
-    def divergence_sums(self, nodal: FloatArray, out: FloatArray) -> FloatArray:
-        """out += Σ_a ΦᵀD^a nodal_a: d columns to one; complete it afterwards. Local."""
-        seen = np.zeros(self.particles.count)
-        spline.add_divergence(self.grid.degree, *self.located, np.ascontiguousarray(nodal), 1.0, *self._slopes, seen)
-        spline.add_sums(self.grid.degree, *self.located, seen[:, None], *self._cells, out)
-        return out
-
-    def transposed_gradient_sums(self, nodal: FloatArray, out: FloatArray) -> FloatArray:
-        """out += (D^a)ᵀΦ nodal: one column to d; complete it afterwards. Local."""
-        seen = np.zeros((self.particles.count, 1))
-        spline.add_interpolated(
-            self.grid.degree, *self.located, np.ascontiguousarray(nodal), np.ones(1), *self._cells, seen
-        )
-        spline.add_gradient_sums(self.grid.degree, *self.located, seen[:, 0].copy(), *self._slopes, out)
-        return out
-
-    def transposed_divergence_sums(self, nodal: FloatArray, out: FloatArray) -> FloatArray:
-        """out += Σ_a (D^a)ᵀΦ nodal_a: d columns to one; complete it afterwards. Local."""
-        seen = np.zeros((self.particles.count, self.grid.dim))
-        spline.add_interpolated(
-            self.grid.degree, *self.located, np.ascontiguousarray(nodal), np.ones(self.grid.dim), *self._cells, seen
-        )
-        total = np.zeros(len(out))
-        spline.add_divergence_sums(self.grid.degree, *self.located, seen, *self._slopes, total)
-        out[:, 0] += total
-        return out
-
-    def _pass(self, nodal: FloatArray, rates: tuple[float, float], direct: bool, weigh: bool) -> tuple[int, int]:
-        particles, degree, dim = self.particles, self.grid.degree, self.grid.dim
-        state = particles.state
-        if direct:
-            change = np.zeros(state.shape)
-            vector, scalar = np.ascontiguousarray(nodal[:, 1:]), np.ascontiguousarray(nodal[:, 0])
-            along, across = np.zeros(len(state)), np.zeros((len(state), dim))
-            spline.add_divergence(degree, *self.located, vector, rates[0], *self._slopes, along)
-            spline.add_gradient(degree, *self.located, scalar, rates[1], *self._slopes, across)
-            change[:, 0], change[:, 1:] = along, across
-            state += change
-        else:
-            each = np.array([rates[0], *[rates[1]] * dim])
-            spline.add_interpolated(degree, *self.located, nodal, each, *self._cells, state)
-        outside = np.zeros(particles.count, dtype=np.int32)
-        for axis, shift in enumerate(self._geometry[3]):
-            x, tolerance = particles.axes[axis, : particles.count], self.grid.tolerance[axis]
-            if shift:
-                blocks.move(x, shift, float(self.grid.cells[axis]), tolerance)
-            first, size = self.grid.owned_start[axis], self.grid.owned_shape[axis]
-            blocks.mark_outside(x, tolerance, np.int32(first), np.int32(size), outside)
-        self.peak = 0.0
-        gone = np.flatnonzero(outside)
-        left = gone.size
-        if left <= len(self._leaving):
-            self._leaving[:left] = gone
-        return int(np.count_nonzero(np.diff(self._cell))), left
-
-    def _sort(self) -> None:
-        super()._sort()
-        self._locate()
-
-    def _locate(self) -> None:
-        self._cell, self._fraction = super().located
-
-    def _deposit(self, start: int, stop: int, weigh: bool) -> None:
-        particles = self.particles
-        self._locate()
-        rows = np.ones((particles.count, self.grid.dim + 2))
-        rows[:, :-1] = particles.state
-        sums = self.sums if weigh else np.zeros(self.sums.shape)
-        spline.add_sums(self.grid.degree, *self.located, rows, *self._cells, sums)
-        if not weigh:
-            self.sums[:, :-1] += sums[:, :-1]
-        self.peak = float(np.max(np.abs(rows[:, 0]), initial=0.0))
-
-
 def create(
     grid: Grid,
     particles: Particles,
     displacement: Sequence[float],
     phase: Callable[[str], None] = lambda name: None,
     transposed: bool = False,
-) -> Sweep | SplineSweep:
+) -> ParticleSweep:
     """The sweep for the basis of the grid; `transposed`: one that has the transposed gradients too."""
-    cls = Sweep if grid.degree == 1 and not transposed else SplineSweep
+    from mpipic.mapping.linear_sweep import LinearSweep
+    from mpipic.mapping.spline_sweep import SplineSweep
+
+    cls = LinearSweep if grid.degree == 1 and not transposed else SplineSweep
     return cls(grid, particles, displacement, phase)

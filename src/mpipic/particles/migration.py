@@ -1,9 +1,9 @@
 """Particles on their way to the rank that owns their cell.
 
 One mechanism on two graphs of ranks: all with all (any journey; used to place new particles), and for particles that
-all move by the same displacement, by MPI's neighbourhood collectives, only those ranks whose blocks the displaced block
-meets: at most 2^d of them however many ranks there are and however far the journey goes, on equal
-blocks.
+move by a known reach, by MPI's neighbourhood collectives, only those ranks whose blocks the displaced block meets.
+Where all particles move alike these are at most 2^d however many ranks there are and however far the journey goes, on
+equal blocks; where each moves by up to a cell, the 3^d - 1 ranks around.
 """
 
 from __future__ import annotations
@@ -36,6 +36,27 @@ class Delivery:
     incoming: IntArray
 
 
+@dataclass(frozen=True)
+class Reach:
+    """Least and greatest displacement per axis, in cells: how far particles may be moved."""
+
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+
+    @classmethod
+    def of_one(cls, displacement: Sequence[float]) -> Reach:
+        """Return the reach of particles that all move by the same displacement."""
+        return cls(tuple(displacement), tuple(displacement))
+
+    def covers(self, other: Reach) -> bool:
+        """Return whether every displacement of the other is one of these."""
+        return all(a <= b for a, b in zip(self.low, other.low)) and all(a >= b for a, b in zip(self.high, other.high))
+
+    def joined(self, other: Reach) -> Reach:
+        """Return the least reach that covers both."""
+        return Reach(tuple(map(min, self.low, other.low)), tuple(map(max, self.high, other.high)))
+
+
 class Routes:
     """Which ranks this rank sends to and receives from.
 
@@ -43,23 +64,23 @@ class Routes:
     ----------
     grid
         The blocks.
-    displacement : d floats, in cells, optional
-        What every particle may be moved by; without it the graph joins all ranks with all.
+    reach : Reach, in cells, optional
+        What particles may be moved by; without it the graph joins all ranks with all.
 
     Notes
     -----
     Collective.
     """
 
-    def __init__(self, grid: Grid, displacement: Sequence[float] | None = None) -> None:
+    def __init__(self, grid: Grid, reach: Reach | None = None) -> None:
         self.grid = grid
-        self.comm: Any = MPI.Intracomm(grid.comm)
-        self.everywhere = displacement is None
-        if displacement is None:
+        self.comm: Any = MPI.Intracomm(grid.comm)  # mpi4py's hints know no neighbourhood collectives here
+        self.everywhere = reach is None
+        if reach is None:
             self.destinations = self.sources = list(range(grid.size))
         else:
-            self.destinations = _ranks_met(grid, displacement, +1)
-            self.sources = _ranks_met(grid, displacement, -1)
+            self.destinations = _ranks_met(grid, reach, +1)
+            self.sources = _ranks_met(grid, reach, -1)
             self.comm = self.comm.Create_dist_graph_adjacent(self.sources, self.destinations)
         self._slot = np.full(grid.size, -1)
         self._slot[self.destinations] = np.arange(len(self.destinations))
@@ -107,35 +128,35 @@ class Routes:
             self.comm.Free()
 
 
-def can_leave(grid: Grid, displacement: Sequence[float]) -> bool:
-    """Whether particles that move by so many cells can leave any rank's block at all. Local, the same everywhere."""
-    return any(not np.array_equal(meets, np.eye(len(meets))) for meets in _meetings(grid, displacement))
+def can_leave(grid: Grid, reach: Reach) -> bool:
+    """Return whether particles with this reach can leave any rank's block at all. Local, the same everywhere."""
+    return any(not np.array_equal(meets, np.eye(len(meets))) for meets in _meetings(grid, reach))
 
 
-def _meetings(grid: Grid, displacement: Sequence[float]) -> list[npt.NDArray[np.bool_]]:
+def _meetings(grid: Grid, reach: Reach) -> list[npt.NDArray[np.bool_]]:
     """For each axis the matrix [i, j]: block i, moved, overlaps block j."""
-    axes = zip(grid.starts, grid.cells, displacement, strict=True)
-    return [_blocks_met(starts, cells, moved) for starts, cells, moved in axes]
+    axes = zip(grid.starts, grid.cells, reach.low, reach.high, strict=True)
+    return [_blocks_met(starts, cells, low, high) for starts, cells, low, high in axes]
 
 
-def _ranks_met(grid: Grid, displacement: Sequence[float], sign: int) -> list[int]:
+def _ranks_met(grid: Grid, reach: Reach, sign: int) -> list[int]:
     """Ranks whose cells this rank's cells meet when moved forward (+1), or that meet them when moved so (-1)."""
     place = np.unravel_index(grid.rank, grid.blocks[::-1])[::-1]
-    meetings = zip(place, _meetings(grid, displacement), strict=True)
+    meetings = zip(place, _meetings(grid, reach), strict=True)
     per_axis = [np.flatnonzero(meets[own] if sign > 0 else meets[:, own]) for own, meets in meetings]
     places = product(*per_axis[::-1])
     return sorted(int(np.ravel_multi_index(q, grid.blocks[::-1])) for q in places)
 
 
-def _blocks_met(starts: IntArray, cells: int, cells_moved: float) -> npt.NDArray[np.bool_]:
-    """Matrix [i, j]: block i of an axis, moved by so many cells around the period, overlaps block j.
+def _blocks_met(starts: IntArray, cells: int, low: float, high: float) -> npt.NDArray[np.bool_]:
+    """Matrix [i, j]: block i of an axis, moved by low to high cells around the period, overlaps block j.
 
-    Exact, as the motion is: a particle of the cells from s to e lands in the cells floor(s + moved) to
-    ceil(e + moved) - 1.
+    Exact, as the motion is: a particle of the cells from s to e lands in the cells floor(s + low) to
+    ceil(e + high) - 1.
     """
     ends = np.append(starts[1:], cells)
-    lowest = np.floor(starts + cells_moved).astype(np.int64)[:, None]
-    spanned = np.ceil(ends + cells_moved).astype(np.int64)[:, None] - 1 - lowest
+    lowest = np.floor(starts + low).astype(np.int64)[:, None]
+    spanned = np.ceil(ends + high).astype(np.int64)[:, None] - 1 - lowest
     starts_inside = np.mod(starts[None, :] - lowest, cells) <= spanned
     holds_lowest = np.mod(lowest - starts[None, :], cells) < (ends - starts)[None, :]
     return starts_inside | holds_lowest
@@ -149,13 +170,22 @@ def migrate(particles: Particles, routes: Routes, leaving: IntArray) -> int:
     """
     grid, before = routes.grid, particles.count
     coordinate, state, ids = particles.take(leaving)
-    rows = np.concatenate([coordinate, state, ids.view(np.float64)[:, None]], axis=1)
+    rows = packed(coordinate, state, ids)
     delivery = routes.exchange(rows, grid.owner_of(coordinate))
-    arrived = delivery.rows
-    dim = particles.dim
-    if np.any(grid.owner_of(arrived[:, :dim]) != grid.rank):
+    coordinate, state, ids = unpacked(delivery.rows, particles.dim)
+    if np.any(grid.owner_of(coordinate) != grid.rank):
         raise LostParticles(f"rank {grid.rank} was sent particles that are not in its cells")
-    particles.append(arrived[:, :dim], arrived[:, dim:-1], np.ascontiguousarray(arrived[:, -1]).view(np.int64))
+    particles.append(coordinate, state, ids)
     if particles.count != before - len(leaving) + int(delivery.incoming.sum()):
         raise LostParticles(f"rank {grid.rank} has {particles.count} particles, not those it had, less sent, plus come")
-    return len(arrived)
+    return len(ids)
+
+
+def packed(coordinate: FloatArray, state: FloatArray, ids: IntArray) -> FloatArray:
+    """Return particles as rows of numbers to send, (n, d + k + 1): an id travels bit for bit as a float. Local."""
+    return np.concatenate([coordinate, state, ids.view(np.float64)[:, None]], axis=1)
+
+
+def unpacked(rows: FloatArray, dim: int) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Return coordinates (n, d), state (n, k) and ids (n,) of packed rows. Local."""
+    return rows[:, :dim], rows[:, dim:-1], np.ascontiguousarray(rows[:, -1]).view(np.int64)

@@ -1,7 +1,7 @@
-"""Particles of one rank: growable columns, global ids, layouts, order by cell.
+"""Particles of one rank: growable columns of named fields of any shape, global ids, order by cell.
 
-A particle is a coordinate, an id that is its own on all ranks, and one row of the state array, whose columns are named
-fields of one or more components. Nothing here knows what the fields mean.
+A particle is a coordinate, an id that is its own on all ranks, and one row of the state array, whose columns are the
+components of its named fields: scalars, vectors, tensors. Nothing here knows what the fields mean.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from mpipic.arrays import FloatArray, IntArray
+from mpipic.arrays import FloatArray, IntArray, Shape, size_of
 from mpipic.kernels import generic
 from mpipic.mesh.grid import Grid
 
@@ -18,12 +18,14 @@ from mpipic.mesh.grid import Grid
 class Particles:
     """Columns of the particles that this rank holds.
 
+    `particles["velocity"]` is a view of a field, (n, *shape), and can be assigned to.
+
     Parameters
     ----------
     h : d floats
         Spacing of the grid, unit of length; its number of entries is the dimension.
-    fields : mapping from name to number of components, 0 for a scalar
-        For example {"density": 0, "velocity": 2}; columns of the state in this order.
+    fields : mapping from name to the shape of one particle's value
+        For example {"density": (), "velocity": (2,), "stress": (2, 2)}; columns of the state in this order.
 
     Attributes
     ----------
@@ -31,24 +33,29 @@ class Particles:
     position : (n, d), unit of length
         A copy.
     state : (n, k)
-        All fields side by side. `coordinate`, `state` and `ids` are views: ask again after particles came or went.
+        All components of all fields side by side. `coordinate`, `state`, `ids` and fields are views: ask again after
+        particles came or went.
     ids : (n,) int64
         Global id, never changed.
-    fields : dict of views into `state`
-        (n,) for a scalar, else (n, components).
+    shapes : dict from name to shape
 
     Notes
     -----
     Local. Memory: 8 (d + k + 1) bytes a particle, and up to an eighth more once particles have arrived.
     """
 
-    def __init__(self, h: Sequence[float], fields: Mapping[str, int]) -> None:
+    def __init__(self, h: Sequence[float], fields: Mapping[str, Shape]) -> None:
         self.h = tuple(h)
         self.dim = len(self.h)
-        self.components = dict(fields)
+        self.shapes = {name: tuple(shape) for name, shape in fields.items()}
         self.count = 0
+        self._columns: dict[str, slice] = {}
+        first = 0
+        for name, shape in self.shapes.items():
+            self._columns[name] = slice(first, first + size_of(shape))
+            first += size_of(shape)
         self._axes = np.empty((self.dim, 0))
-        self._state = np.empty((0, sum(max(1, k) for k in fields.values())))
+        self._state = np.empty((0, first))
         self._ids = np.empty((0, 1), dtype=np.int64)
 
     @property
@@ -68,7 +75,7 @@ class Particles:
 
     @property
     def state(self) -> FloatArray:
-        """All fields side by side, (n, k), a view."""
+        """All components side by side, (n, k), a view."""
         return self._state[: self.count]
 
     @property
@@ -78,20 +85,27 @@ class Particles:
 
     @property
     def fields(self) -> dict[str, FloatArray]:
-        """Name to view of the state: (n,) or (n, components)."""
-        return {name: self.state[:, columns] for name, columns in self._columns().items()}
+        """All fields by name, views (n, *shape)."""
+        return {name: self[name] for name in self.shapes}
 
-    def _columns(self) -> dict[str, int | slice]:
-        columns: dict[str, int | slice] = {}
-        first = 0
-        for name, components in self.components.items():
-            columns[name] = slice(first, first + components) if components else first
-            first += max(1, components)
-        return columns
+    def __getitem__(self, name: str) -> FloatArray:
+        """Return the field of this name, (n, *shape), a view."""
+        return self.columns_of_state(self.state, name)
 
-    def field(self, name: str) -> FloatArray:
-        """View of one field: (n,) or (n, components)."""
-        return self.state[:, self._columns()[name]]
+    def __setitem__(self, name: str, values: FloatArray | float) -> None:
+        """Give all particles these values of a field, (n, *shape) or what broadcasts to it."""
+        self[name][...] = values
+
+    def columns_of_state(self, state: FloatArray, name: str) -> FloatArray:
+        """Return a field's columns of rows like those of `state`, (m, k), as (m, *shape), a view."""
+        return state[:, self._columns[name]].reshape(len(state), *self.shapes[name])
+
+    def state_of(self, fields: Mapping[str, FloatArray], count: int) -> FloatArray:
+        """Return state rows (count, k) that hold these fields, (count, *shape) each; what is not named is 0."""
+        state = np.zeros((count, self._state.shape[1]))
+        for name, values in fields.items():
+            self.columns_of_state(state, name)[...] = values
+        return state
 
     @property
     def bytes_per_particle(self) -> int:

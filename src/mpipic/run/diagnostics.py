@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from mpi4py import MPI
 
 from mpipic.arrays import FloatArray
-from mpipic.errors import NotConverged
-from mpipic.mesh.grid import Grid
 from mpipic.particles.store import Particles
-
-Exact = Callable[[FloatArray, float], tuple[FloatArray, FloatArray]]
 
 
 @dataclass(frozen=True)
@@ -28,26 +24,35 @@ class Norms:
 
 @dataclass(frozen=True)
 class ErrorReport:
-    """Errors of density and velocity at one step; the null-space share is None where it was not asked for."""
+    """Errors of the fields that a physics compares, at one step, and the null-space shares that were asked for.
+
+    Attributes
+    ----------
+    errors : name of a field to norms
+    shares : name of a share to number; None where it could not be found
+    """
 
     step: int
     time: float
-    density: Norms
-    velocity: Norms
-    null_space_fraction: float | None = None
+    errors: Mapping[str, Norms]
+    shares: Mapping[str, float | None] = field(default_factory=dict)
 
-    def row(self) -> dict[str, Any]:
-        """The report as flat columns: density_l1 to velocity_linf, null_space_fraction."""
-        columns = {
-            f"{name}_{norm}": getattr(getattr(self, name), norm)
-            for name in ("density", "velocity")
+    def row(self) -> dict[str, float | None]:
+        """Return the report as flat columns: density_l1, density_l2, ..., null_space_fraction."""
+        columns: dict[str, float | None] = {
+            f"{name}_{norm}": getattr(norms, norm)
+            for name, norms in self.errors.items()
             for norm in ("l1", "l2", "linf")
         }
-        return {**columns, "null_space_fraction": self.null_space_fraction}
+        return {**columns, **self.shares}
+
+    def record(self) -> dict[str, Any]:
+        """Return the report as summary.json holds it: step, time, norms by field, shares."""
+        return {"step": self.step, "time": self.time, **self.errors, **self.shares}
 
 
 def norms(error: FloatArray, total: int, comm: MPI.Comm) -> Norms:
-    """Norms of errors (n,), or of the Euclidean lengths of error vectors (n, d), over `total` particles on all ranks.
+    """Return norms of errors (n,), or of the lengths of error vectors (n, d), over `total` particles on all ranks.
 
     Sizes are taken relative to the largest, so that neither tiny nor huge errors under- or overflow when squared.
     One error that is not finite makes all three norms infinite. Collective; two reductions.
@@ -68,39 +73,15 @@ def norms(error: FloatArray, total: int, comm: MPI.Comm) -> Norms:
     return Norms(largest * sums[0] / total, largest * float(np.sqrt(sums[1] / total)), largest)
 
 
-def measure(particles: Particles, exact: Exact, step: int, time: float, total: int, comm: MPI.Comm) -> ErrorReport:
-    """Errors of the fields density and velocity at `time`. Collective; the exact solution is evaluated locally."""
-    density, velocity = exact(particles.position, time)
-    return ErrorReport(
-        step,
-        time,
-        norms(particles.field("density") - density, total, comm),
-        norms(particles.field("velocity") - velocity, total, comm),
-    )
+def measure(
+    particles: Particles, exact: Mapping[str, FloatArray], step: int, time: float, total: int, comm: MPI.Comm
+) -> ErrorReport:
+    """Return the errors of all fields that the exact solution names, (n, *shape) each. Collective.
 
-
-SHARE_TOLERANCE = 1e-10
-
-
-def null_space_fraction(grid: Grid, particles: Particles) -> float | None:
-    """‖(1 - P) q‖ / ‖q‖ of q = D S ρ_p, the unfiltered particle gradient of the density: the share that no node sees.
-
-    0 for a gradient that vanishes; None where the projection P did not converge or the gradient is not finite.
-    Collective; costs about a step with the exact filter, and its memory.
+    Of a tensor's error the norm over all components is taken.
     """
-    from mpipic.filters import ExactFilter
-    from mpipic.mapping.mapping import Mapping
-
-    mapping = Mapping.at(grid, particles)
-    density = np.ascontiguousarray(particles.field("density"))
-    q = mapping.gradient(mapping.p2g(density))
-    largest = grid.reduce(np.array([np.where(np.isfinite(q), np.abs(q), np.inf).max(initial=0.0)]), MPI.MAX)[0]
-    if largest == 0.0 or not np.isfinite(largest):
-        return 0.0 if largest == 0.0 else None
-    q /= largest
-    try:
-        hidden = q - ExactFilter(mapping, SHARE_TOLERANCE).apply(q)
-    except NotConverged:
-        return None
-    sums = grid.reduce(np.array([np.sum(hidden**2), np.sum(q**2)]))
-    return float(np.sqrt(sums[0] / sums[1]))
+    errors = {}
+    for name, truth in exact.items():
+        error = particles[name] - truth
+        errors[name] = norms(error if error.ndim == 1 else error.reshape(len(error), -1), total, comm)
+    return ErrorReport(step, time, errors)

@@ -8,11 +8,8 @@ import numpy as np
 from mpi4py import MPI
 
 from mpipic.errors import NotConverged
-from mpipic.mesh.grid import Grid
-from mpipic.phases import Phases
-from mpipic.physics.acoustics.schemes import NodalScheme
-from mpipic.run.build import build_rates, build_sweep
-from mpipic.run.loop import populate
+from mpipic.physics.acoustics.step import AcousticStep
+from mpipic.run.build import build_sweep, place, step_on
 from mpipic.scene.records import Scene
 
 REACHES = {"symplectic": 2.0, "rk4": 2.0 * np.sqrt(2.0)}
@@ -68,30 +65,27 @@ def _piece(scene: Scene) -> Scene:
 
 def _largest_frequency(scene: Scene) -> float:
     """Square root of the largest |eigenvalue| of density to velocity to density."""
-    grid = Grid(scene.grid.cells, scene.grid.length, MPI.COMM_SELF, scene.mapping.basis)
-    carrier = build_sweep(scene, grid, populate(scene, grid, None), Phases())
-    rates = build_rates(scene, carrier)
+    grid, particles = place(scene, MPI.COMM_SELF)
+    carrier = build_sweep(scene, grid, particles)
+    rates = step_on(scene, carrier)
     shifting = scene.mapping.gradient == "skew" and carrier.moving
     places = PLACES[scene.dim] if shifting else 1
     squares = 0.0
     for _ in range(places):
-        squares = max(squares, _largest_square(scene, rates))
+        squares = max(squares, _largest_square(rates))
         if shifting:
-            particles = carrier.particles
             particles.coordinate[...] = grid.wrapped(particles.coordinate + 1.0 / places)
-            carrier.remap()
+            rates.restart()
     carrier.close()
     return float(np.sqrt(squares))
 
 
-def _largest_square(scene: Scene, rates: NodalScheme) -> float:
-    grid, nodes = rates.grid, rates.grid.node_count
+def _largest_square(rates: AcousticStep) -> float:
+    nodes = rates.grid.node_count
     columns = np.empty((nodes, nodes))
     for node in range(nodes):
         unit = np.zeros(nodes)
         unit[node] = 1.0
-        state = np.zeros((grid.local_nodes, 1 + scene.dim))
-        state[:, :1] = rates.spread(unit)
-        state[:, 1:] = rates.velocity(state, 0).field
-        columns[:, node] = rates.own(rates.density(state, 0).field)
+        u = rates.factors[1] * rates.gained(rates.velocity(rates.spread(unit), 0))
+        columns[:, node] = rates.own(rates.factors[0] * rates.gained(rates.density(u, 0)))
     return float(np.abs(np.linalg.eigvals(columns)).max())

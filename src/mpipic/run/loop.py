@@ -12,15 +12,12 @@ import numpy as np
 from mpi4py import MPI
 
 from mpipic.arrays import FloatArray, IntArray
-from mpipic.mesh.grid import Grid
-from mpipic.particles.layouts import LAYOUTS, share
-from mpipic.particles.migration import LostParticles, Routes
-from mpipic.particles.store import Particles
+from mpipic.particles.migration import LostParticles
 from mpipic.phases import Phases
-from mpipic.physics.acoustics import solutions as exact
-from mpipic.run.build import build_step, build_sweep
-from mpipic.run.diagnostics import ErrorReport, Exact, measure, null_space_fraction
-from mpipic.scene.records import Problem, Scene, SceneError
+from mpipic.physics.base import Physics
+from mpipic.run.build import begin, check_filter, physics_of, place
+from mpipic.run.diagnostics import ErrorReport, measure
+from mpipic.scene.records import Scene
 
 MONITORED = 400
 """At how many steps of a run, evenly spread, the largest density is recorded."""
@@ -60,86 +57,13 @@ class Observer(Protocol):
         """Called after every step; local."""
 
 
-def solution_of(scene: Scene) -> Exact | None:
-    """Initial data and exact solution of the scene as one function of (x, t); None where a file gives the state."""
-    if scene.initial.profile == "file":
-        return None
-    gas = exact.Gas(scene.gas.sound_speed, scene.gas.flow, scene.gas.density)
-    initial = scene.initial
-    try:
-        return exact.solution(
-            initial.profile,
-            length=scene.grid.length,
-            gas=gas,
-            center=initial.center,
-            sharpness=initial.sharpness,
-            wave=initial.wave,
-        )
-    except ValueError as error:
-        raise SceneError([Problem("initial", initial.profile, str(error))]) from None
-
-
-def check_filter(scene: Scene, particles: int, comm: MPI.Comm, kind: str | None = None) -> None:
-    """Raise SceneError on all ranks for a filter, the scene's or `kind`, that there is no memory for. Collective."""
-    if (kind or scene.filter.kind) != "svd":
-        return
-    from mpipic.filters.row_space import TooLarge, check_memory
-
-    try:
-        check_memory(scene.cell_count, particles, comm)
-    except TooLarge as error:
-        raise SceneError([Problem("filter.kind", "svd", str(error))]) from None
-
-
-def populate(scene: Scene, grid: Grid, solution: Exact | None) -> Particles:
-    """The scene's particles at t = 0 on the ranks that own their cells.
-
-    Every rank makes a block of consecutive ids; then each particle goes to its owner. Collective.
-    """
-    particles = Particles(grid.h, {"density": 0, "velocity": grid.dim})
-    if scene.particles.layout == "file":
-        ids, coordinate, state = _read_particles(scene, grid)
-    else:
-        ids = share(scene.particle_count or 0, grid)
-        layout = LAYOUTS[scene.particles.layout]
-        drawn = layout(grid, scene.particles.per_cell, scene.particles.jitter, scene.particles.seed, ids)
-        coordinate = grid.wrapped(drawn)
-        state = np.zeros((len(ids), 1 + grid.dim))
-    if grid.size > 1:
-        rows = np.concatenate([coordinate, state, ids.view(np.float64)[:, None]], axis=1)
-        rows = Routes(grid).exchange(rows, grid.owner_of(coordinate)).rows
-        coordinate, state = rows[:, : grid.dim], rows[:, grid.dim : -1]
-        ids = np.ascontiguousarray(rows[:, -1]).view(np.int64)
-    particles.append(coordinate, state, ids)
-    if solution is not None:
-        density, velocity = solution(particles.position, 0.0)
-        particles.field("density")[:] = density
-        particles.state[:, 1:] = velocity
-    return particles
-
-
-def _read_particles(scene: Scene, grid: Grid) -> tuple[IntArray, FloatArray, FloatArray]:
-    from mpipic.io.particle_file import ParticleFileError, read_particle_file
-
-    try:
-        data = read_particle_file(scene.particles.path, grid.dim, grid.length, grid.comm)
-    except ParticleFileError as error:
-        raise SceneError([Problem("particles.path", None, text) for text in error.problems]) from None
-    state = np.zeros((len(data["ids"]), 1 + grid.dim))
-    if scene.initial.profile == "file":
-        state[:, 0] = data.get("density", 0.0)
-        state[:, 1:] = data.get("velocity", 0.0)
-    return data["ids"], grid.coordinate_of(data["position"]), state
-
-
 class Simulation:
     """The parts that a scene names, put together on the ranks of `comm`, and the loop over its steps.
 
     Attributes
     ----------
-    grid, particles, sweep, formulation
+    grid, particles, physics
         The parts.
-    exact : function of (x, t), or None
     total : int
         Particles on all ranks.
     step, time
@@ -155,21 +79,22 @@ class Simulation:
     Collective.
     """
 
-    def __init__(self, scene: Scene, comm: MPI.Comm, phases: Phases | None = None) -> None:
+    def __init__(
+        self, scene: Scene, comm: MPI.Comm, phases: Phases | None = None, physics: Physics | None = None
+    ) -> None:
         self.scene, self.comm = scene, comm
         self.phases = phases or Phases()
         self.phases("setup")
         scene.check_ranks(comm.size)
-        self.exact = solution_of(scene)
-        self.grid = Grid(scene.grid.cells, scene.grid.length, comm, scene.mapping.basis)
-        self.particles = populate(scene, self.grid, self.exact)
+        self.physics = physics or physics_of(scene)
+        self.grid, self.particles = place(scene, comm, self.physics)
         self.total = comm.allreduce(self.particles.count)
-        self.sweep = build_sweep(scene, self.grid, self.particles, self.phases)
         check_filter(scene, self.total, comm)
-        self.formulation = build_step(scene, self.sweep)
+        self.physics.place(self.grid, self.particles, self.phases)
         self.step = 0
         self.phases("setup")
         self.limit = scene.time.blow_up * self._initial_size()
+        self.conserved_at_start = self.conserved()
         self._bad: tuple[int, tuple[int, ...], float] | None = None
         self.phases("other")
 
@@ -178,27 +103,72 @@ class Simulation:
         """Time reached: step times dt, not a running sum."""
         return self.step * self.scene.dt
 
+    def set_state(
+        self,
+        coordinate: FloatArray | None = None,
+        state: FloatArray | None = None,
+        ids: IntArray | None = None,
+    ) -> None:
+        """Begin anew from other particles, or the present ones with other values: nothing of the past counts.
+
+        Parameters
+        ----------
+        coordinate : (n, d), in cells, in this rank's cells
+            Where particles are; default: where they are.
+        state : (n, k)
+            Components of their fields in the order of `Particles.state`; default: the initial values of the physics,
+            for new coordinates, else those that there are.
+        ids : (n,)
+            With new coordinates, who they are.
+
+        Notes
+        -----
+        Collective: every rank gives its own. `step` counts on.
+        """
+        particles = self.particles
+        if coordinate is not None and ids is not None:
+            fresh = particles.state_of({}, len(ids)) if state is None else state
+            particles.replace(coordinate, fresh, ids)
+            if state is None:
+                begin(particles, self.physics)
+            self.total = int(self.comm.allreduce(particles.count))
+        elif state is not None:
+            particles.state[...] = state
+        self.physics.restart()
+
     def close(self) -> None:
         """Give communicators back to MPI, for programs that build many simulations. Collective."""
-        self.sweep.close()
+        self.physics.close()
 
     def resident_bytes(self) -> int:
-        """Bytes of this rank's arrays of particles and nodes that live as long as the run. Local."""
-        return self.particles.nbytes + self.sweep.nbytes + self.formulation.nbytes
+        """Return the bytes of this rank's arrays of particles and nodes that live as long as the run. Local."""
+        return self.particles.nbytes + self.physics.nbytes
 
-    def nodal_means(self) -> dict[str, FloatArray]:
-        """Means S ρ_p and S u_p at own nodes, arrays (x, y, z) or (x, y, z, d): what the grid sees. Local."""
-        density, velocity = (self.sweep.divide(sums) for sums in self.sweep.state_sums)
-        return {"density": self.grid.owned(density[:, 0]), "velocity": self.grid.owned(velocity)}
+    def conserved(self) -> dict[str, FloatArray]:
+        """Return the sums over all ranks that the physics conserves, by name. Collective; one reduction."""
+        mine = {name: np.asarray(value, dtype=np.float64) for name, value in self.physics.conserved().items()}
+        if not mine:
+            return {}
+        sums = np.concatenate([np.ravel(value) for value in mine.values()])
+        self.comm.Allreduce(MPI.IN_PLACE, sums)
+        parts = np.split(sums, np.cumsum([value.size for value in mine.values()])[:-1])
+        return {name: part.reshape(value.shape) for (name, value), part in zip(mine.items(), parts, strict=True)}
+
+    def measured(self, shares: bool) -> ErrorReport | None:
+        """Return errors against the exact solution, with null-space shares if asked; None without one. Collective."""
+        physics = self.physics
+        exact = physics.exact(self.particles.position, self.time)
+        if exact is None:
+            return None
+        compared = {name: exact[name] for name in physics.compared}
+        report = measure(self.particles, compared, self.step, self.time, self.total, self.comm)
+        return replace(report, shares=physics.null_space_shares()) if shares else report
 
     def _initial_size(self) -> float:
-        """Largest |density|; where density starts at zero, the density that the velocity will turn into."""
-        gas, state = self.scene.gas, np.abs(self.particles.state)
-        density = state[:, 0].max(initial=0.0)
-        from_velocity = gas.density / gas.sound_speed * state[:, 1:].max(initial=0.0)
-        largest = np.array([density, from_velocity])
-        self.comm.Allreduce(MPI.IN_PLACE, largest, op=MPI.MAX)
-        return float(largest[0] or largest[1])
+        """The size that growth is measured by, over all ranks."""
+        sizes = np.array(self.physics.sizes())
+        self.comm.Allreduce(MPI.IN_PLACE, sizes, op=MPI.MAX)
+        return float(next((size for size in sizes if size), 0.0))
 
     # ------------------------------------------------------------ the loop
 
@@ -225,9 +195,9 @@ class Simulation:
                 last, next_check, since = self.step, self.step + stride, perf_counter()
             if self.step >= steps:
                 return Outcome("completed", self.step)
-            self.formulation.step()
+            self.physics.step()
             self.step += 1
-            if not self.sweep.peak <= self.limit and self._bad is None:
+            if not self.physics.peak <= self.limit and self._bad is None:
                 self._bad = (self.step, *self._worst())
             observer.progress(self.step, self.time)
 
@@ -235,7 +205,7 @@ class Simulation:
         """What all ranks know together: largest |density|, why to stop if so, and steps until the next look."""
         stride = max(1, min(1000, int(LONGEST_UNCHECKED / max(seconds, 1e-9))))
         first_bad = self._bad[0] if self._bad else math.inf
-        peak = self.sweep.peak if math.isfinite(self.sweep.peak) else math.inf
+        peak = self.physics.peak if math.isfinite(self.physics.peak) else math.inf
         facts = np.array([-first_bad, float(interrupted), -stride, peak])
         self.comm.Allreduce(MPI.IN_PLACE, facts, op=MPI.MAX)
         total = self.comm.allreduce(self.particles.count)
@@ -250,7 +220,7 @@ class Simulation:
         """Cell and |density| of this rank's worst particle, NaN the worst of all; ((), -1) if there is none."""
         if self.particles.count == 0:
             return (), -1.0
-        size = np.abs(self.particles.field("density"))
+        size = np.abs(self.particles[self.physics.watched])
         worst = int(np.argmax(np.where(np.isnan(size), np.inf, size)))
         cell = self.grid.cell_of(self.particles.coordinate[worst : worst + 1])[0]
         return tuple(map(int, cell)), float(size[worst])
@@ -264,11 +234,9 @@ class Simulation:
 
     def _tell(self, observer: Observer, peak: float, report: bool, snapshot: bool) -> None:
         measured = None
-        if report and self.exact is not None:
+        if report:
             self.phases("report")
-            measured = measure(self.particles, self.exact, self.step, self.time, self.total, self.comm)
-            if self.step in self.scene.output.report_at:
-                measured = replace(measured, null_space_fraction=null_space_fraction(self.grid, self.particles))
+            measured = self.measured(shares=self.step in self.scene.output.report_at)
         observer.record(self.step, self.time, peak, measured)
         if snapshot:
             self.phases("output")

@@ -15,6 +15,7 @@ from mpipic.errors import NotConverged
 from mpipic.io.run_directory import ERROR_PLOT, PARTICLES, SOLUTION_PLOT, RunDirectory
 from mpipic.phases import Phases
 from mpipic.run import describe as advice
+from mpipic.run.build import solution_of
 from mpipic.run.diagnostics import ErrorReport
 from mpipic.run.limits import cfl_limit
 from mpipic.run.loop import Outcome, Simulation
@@ -57,7 +58,7 @@ class Recorder:
             from mpipic.io.snapshots import ParticleSeries
 
             self._series = ParticleSeries(self._directory.path / PARTICLES, simulation.comm, scene)
-        self._series.write(step, time, scene.dt, simulation.particles, simulation.grid, simulation.nodal_means())
+        self._series.write(step, time, scene.dt, simulation.particles, simulation.grid, simulation.physics.nodal())
 
     def progress(self, step: int, time: float) -> None:
         """Show how far the run is; rank 0's clock, the largest density of the last look at all ranks."""
@@ -157,11 +158,17 @@ def summary(
         "ranks": simulation.comm.size,
         "particles": simulation.total,
         "nodes": simulation.grid.node_count,
-        "errors": reports,
+        "errors": [report.record() for report in reports],
         "seconds": {**seconds, "step": stepping, "phases": phases.seconds},
         "particle_steps_per_second": done / stepping if done else 0.0,
         "bytes_per_particle": simulation.particles.bytes_per_particle,
-        "sorts": simulation.sweep.sorts,
+        **simulation.physics.facts(),
+        "conserved": {
+            name: [start, end]
+            for (name, start), end in zip(
+                simulation.conserved_at_start.items(), simulation.conserved().values(), strict=True
+            )
+        },
         "scene": simulation.scene.to_dict(),
         "versions": versions(),
     }
@@ -222,7 +229,7 @@ def _draw(directory: RunDirectory, simulation: Simulation, outcome: Outcome, rec
     sample = gather_sample(simulation.particles, simulation.comm)
     if sample is None:
         return
-    scene, step = simulation.scene, simulation.step
+    scene, step, exact = simulation.scene, simulation.step, solution_of(simulation.scene)
     subject = Subject(scene.name, scene.filter.kind, scene.grid.length, scene.h)
     draw_error(directory.path / ERROR_PLOT, recorder.rows, subject, outcome.status == "unstable")
-    draw_solution(directory.path / SOLUTION_PLOT, subject, simulation.time, step, sample, simulation.exact)
+    draw_solution(directory.path / SOLUTION_PLOT, subject, simulation.time, step, sample, exact)

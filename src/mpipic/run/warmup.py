@@ -10,7 +10,7 @@ from mpi4py import MPI
 from mpipic.mesh.grid import Grid
 from mpipic.particles.store import Particles
 from mpipic.phases import Phases
-from mpipic.run.build import build_step, build_sweep
+from mpipic.run.build import physics_of
 from mpipic.scene.records import Scene
 
 
@@ -18,13 +18,17 @@ def compile_loops(scene: Scene) -> None:
     """Take one step of the scene's kind with a few particles on a small grid, so that every loop is compiled. Local."""
     dim = scene.dim
     small = replace(scene, grid=scene.grid.model_copy(update={"cells": (2,) * dim, "length": (1.0,) * dim}))
+    physics = physics_of(small)
     grid = Grid(small.grid.cells, small.grid.length, MPI.COMM_SELF, scene.mapping.basis)
-    particles = Particles(grid.h, {"density": 0, "velocity": dim})
+    particles = Particles(grid.h, physics.fields(dim))
     # evenly spread and not at rest: solvers must have something to iterate on
     axes = [(np.arange(4) + 0.5) / 2] * dim
     coordinate = np.stack([x.ravel() for x in np.meshgrid(*axes)], axis=1)
     count = len(coordinate)
-    state = np.sin(np.arange(1.0, count * (1 + dim) + 1)).reshape(count, 1 + dim)
+    width = particles.state.shape[1]
+    state = np.sin(np.arange(1.0, count * width + 1)).reshape(count, width)
     particles.append(grid.wrapped(coordinate), state, np.arange(count))
-    build_step(small, build_sweep(small, grid, particles, Phases())).step()
+    physics.place(grid, particles, Phases())
+    physics.step()
+    physics.close()
     particles.take(np.arange(1))

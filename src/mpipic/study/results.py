@@ -223,9 +223,7 @@ class Origin:
     versions: Mapping[str, str]
 
 
-def content(
-    study: Study, rows: Sequence[Row], runs: Sequence[Sequence[Record]], origin: Origin
-) -> dict[str, object]:
+def content(study: Study, rows: Sequence[Row], runs: Sequence[Sequence[Record]], origin: Origin) -> dict[str, object]:
     """Return everything, for study.json."""
     points = []
     for row, of_it in zip(rows, runs, strict=True):

@@ -4,97 +4,152 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import NamedTuple
-
-import numpy as np
-from mpi4py import MPI
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from mpipic.arrays import FloatArray
-from mpipic.mesh.grid import Grid
-from mpipic.physics.acoustics.slopes import Rate
+from mpipic.mapping.mass import Field, Gain
 
-State = FloatArray
-"""ρ and u in one array (rows, 1 + d), of nodes or of particles."""
+if TYPE_CHECKING:
+    from mpipic.mesh.grid import Grid
 
 
-class Step(NamedTuple):
-    """What an integrator makes of a step: the particles' change (as coefficients), and the state at its end."""
+class State(NamedTuple):
+    """Density and velocity at the beginning of a step, on nodes or on particles."""
 
-    change: State
-    end: State
+    density: Field
+    velocity: Field
+
+
+class Change(NamedTuple):
+    """What one field gains in a step: a factor times the coefficients of a `Gain`."""
+
+    factor: float
+    coefficients: FloatArray
+
+
+@dataclass(frozen=True)
+class Step:
+    """What an integrator makes of a step.
+
+    Attributes
+    ----------
+    density, velocity
+        The particles' changes.
+    end : function without arguments
+        Makes the fields (density, velocity) at the end. Collective.
+    """
+
+    density: Change
+    velocity: Change
+    end: Callable[[], tuple[FloatArray, FloatArray]]
 
 
 class Rates(ABC):
-    """Time derivatives of a state, positions frozen: what integrators work with."""
+    """Time derivatives of a state at frozen positions: what integrators work with.
 
-    @abstractmethod
-    def density(self, state: State, stage: int) -> Rate:
-        """Of ρ, from u."""
-
-    @abstractmethod
-    def velocity(self, state: State, stage: int) -> Rate:
-        """Of u, from ρ."""
+    The particles' density changes by `factors[0]` times the gain that `density` finds, the velocity by `factors[1]`
+    times that of `velocity`. Fields have rows of nodes or of particles, (rows, 1) and (rows, d).
+    """
 
     grid: Grid
+    factors: tuple[float, float]
+
+    @abstractmethod
+    def density(self, velocity: FloatArray, stage: int) -> Gain:
+        """Return the gain ∇·u. Collective."""
+
+    @abstractmethod
+    def velocity(self, density: FloatArray, stage: int) -> Gain:
+        """Return the gain ∇ρ. Collective."""
+
+    @abstractmethod
+    def gained(self, gain: Gain) -> FloatArray:
+        """Return what fields gain when particles gain `gain`. Collective."""
+
+    @abstractmethod
+    def after(self, field: Field, scale: float, gain: Gain) -> FloatArray:
+        """Return the field once particles have gained `scale` times `gain`. Collective."""
 
     @abstractmethod
     def own(self, column: FloatArray) -> FloatArray:
-        """This rank's own numbers of one field (rows, 1), compact."""
+        """Return this rank's own numbers of a field (rows, 1), compact. Local."""
 
     @abstractmethod
     def spread(self, own: FloatArray) -> FloatArray:
-        """The field (rows, 1) of these numbers, ghosts and all. Collective."""
-
-    @property
-    def dim(self) -> int:
-        """Dimension."""
-        return self.grid.dim
-
-    @property
-    def comm(self) -> MPI.Comm:
-        """Communicator."""
-        return self.grid.comm
-
-    def any(self, mine: bool) -> bool:
-        """Whether it is so on any rank. Collective."""
-        return bool(self.grid.reduce(np.array([float(mine)]), MPI.MAX)[0])
-
-    def size(self, own: FloatArray) -> float:
-        """A power of two near the largest of these numbers on all ranks. Collective."""
-        return self.grid.size_of(own)
-
-    def both(self, state: State, stage: int) -> Rate:
-        """Of ρ and u."""
-        rho, u = self.density(state, stage), self.velocity(state, stage)
-        return Rate(self.join(rho.coefficients, u.coefficients), np.concatenate([rho.field, u.field], axis=1))
-
-    def join(self, of_density: FloatArray, of_velocity: FloatArray) -> State:
-        """Coefficients of both changes in one array."""
-        return np.concatenate([of_density, of_velocity], axis=1)
+        """Return the field (rows, 1) of these numbers, ghosts and all. Collective."""
 
 
-Integrator = Callable[[Rates, State, float], Step]
+class Integrator(Protocol):
+    """Takes a state from t to t + dt."""
+
+    looks_once: bool
+    """Whether it looks at every gain once, before the next is made."""
+
+    def __call__(self, rates: Rates, state: State, dt: float) -> Step:
+        """Return one step. Collective."""
+        ...
 
 
-def symplectic(rates: Rates, state: State, dt: float) -> Step:
+class Symplectic:
     """Symplectic Euler (Formulation 2): ρ from u at t, then u from ρ at t + dt."""
-    rho = rates.density(state, 0)
-    end = state.copy()
-    end[:, :1] += dt * rho.field
-    u = rates.velocity(end, 0)
-    end[:, 1:] += dt * u.field
-    return Step(dt * rates.join(rho.coefficients, u.coefficients), end)
+
+    looks_once = True
+
+    def __call__(self, rates: Rates, state: State, dt: float) -> Step:
+        """Return one step; two gains, and one change of a field."""
+        of_density, of_velocity = (dt * factor for factor in rates.factors)
+        first = rates.density(state.velocity.values, 0)  # u at t
+        rho = rates.after(state.density, of_density, first)  # ρ at t + dt
+        second = rates.velocity(rho, 0)
+        return Step(
+            Change(of_density, first.coefficients),
+            Change(of_velocity, second.coefficients),
+            lambda: (rho, rates.after(state.velocity, of_velocity, second)),
+        )
 
 
-def rk4(rates: Rates, state: State, dt: float) -> Step:
+class RungeKutta4:
     """The classical Runge-Kutta method of order 4; stable while the largest frequency times dt is below 2.8."""
-    first = rates.both(state, 0)
-    second = rates.both(state + 0.5 * dt * first.field, 1)
-    third = rates.both(state + 0.5 * dt * second.field, 2)
-    fourth = rates.both(state + dt * third.field, 3)
-    change, field = (dt / 6.0 * (first[part] + 2.0 * (second[part] + third[part]) + fourth[part]) for part in (0, 1))
-    return Step(change, state + field)
+
+    looks_once = False
+    NODES = (0.0, 0.5, 0.5, 1.0)
+    WEIGHTS = (1.0, 2.0, 2.0, 1.0)
+
+    def __call__(self, rates: Rates, state: State, dt: float) -> Step:
+        """Return one step; eight gains, and six changes of fields."""
+        rho, u = state.density.values, state.velocity.values
+        found: list[tuple[Gain, Gain]] = []
+        for stage, node in enumerate(self.NODES):
+            if stage:
+                at = tuple(node * dt * factor for factor in rates.factors)
+                rho, u = (rates.after(field, s, gain) for field, s, gain in zip(state, at, found[-1], strict=True))
+            found.append((rates.density(u, stage), rates.velocity(rho, stage)))
+        return self._combined(rates, state, dt, found)
+
+    def _combined(self, rates: Rates, state: State, dt: float, found: list[tuple[Gain, Gain]]) -> Step:
+        """The weighted sum of all stages; the rates are linear, so it is a gain itself."""
+        gains = [_sum_of(self.WEIGHTS, stages) for stages in zip(*found)]
+        of_density, of_velocity = (
+            Change(dt / 6.0 * factor, gain.coefficients) for factor, gain in zip(rates.factors, gains, strict=True)
+        )
+
+        def end() -> tuple[FloatArray, FloatArray]:
+            parts = zip(state, (of_density, of_velocity), gains, strict=True)
+            rho, u = (rates.after(field, change.factor, gain) for field, change, gain in parts)
+            return rho, u
+
+        return Step(of_density, of_velocity, end)
 
 
-INTEGRATORS: dict[str, Integrator] = {"symplectic": symplectic, "rk4": rk4}
-"""Name to function; `midpoint` joins them from its own module."""
+def _sum_of(weights: tuple[float, ...], gains: tuple[Gain, ...]) -> Gain:
+    """Return Σ weights × gains."""
+    total = gains[0].coefficients.copy()
+    for weight, gain in zip(weights[1:], gains[1:], strict=True):
+        total += weight * gain.coefficients
+
+    return Gain(total, gains[0].spanned, gains[0].map_to_nodes, f"{gains[0].name} in all")
+
+
+INTEGRATORS: dict[str, type[Symplectic] | type[RungeKutta4]] = {"symplectic": Symplectic, "rk4": RungeKutta4}
+"""Name to class; `midpoint` joins them from its own module."""

@@ -1,38 +1,53 @@
-"""Gradients of nodal fields, as changes of particle values: at the particles, filtered, skew, or on the nodes."""
+"""Gradients of nodal fields, as what particle values gain: at the particles, filtered, skew, or on the nodes."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import NamedTuple
+from typing import TYPE_CHECKING
 
 from mpipic.arrays import FloatArray
-from mpipic.filters import NodalFilter
-from mpipic.mapping.mapping import NodalMapping
-from mpipic.mapping.mass import Mass
-from mpipic.mapping.sweep import ParticleSweep, SplineSweep
-from mpipic.mesh.differences import CentralDifference
+from mpipic.mapping.mass import Gain, Workspace
 
-
-class Rate(NamedTuple):
-    """Of one field: coefficients of the particles' change, and the change of the nodal field; (local_nodes, k)."""
-
-    coefficients: FloatArray
-    field: FloatArray
+if TYPE_CHECKING:
+    from mpipic.filters.family import NodalFilter
+    from mpipic.mapping.spline_sweep import SplineSweep
+    from mpipic.mapping.sweep import ParticleSweep
 
 
 class Slopes(ABC):
-    """Divergence and gradient of nodal fields as changes of particle values."""
+    """Divergence and gradient of nodal fields as gains of particle values.
+
+    Parameters
+    ----------
+    sweep
+        The particles, mapped.
+    work
+        Where sums on the way go.
+
+    Attributes
+    ----------
+    direct : bool
+        Whether gains are not spanned: coefficients are nodal fields that particles take the gradient of themselves.
+    """
 
     direct = False
-    """Whether coefficients are nodal fields that particles take the gradient of themselves."""
+
+    def __init__(self, sweep: ParticleSweep, work: Workspace) -> None:
+        self.sweep, self.work = sweep, work
 
     @abstractmethod
-    def divergence(self, u: FloatArray, stage: int) -> Rate:
-        """Of (local_nodes, d)."""
+    def divergence(self, u: FloatArray, stage: int, out: FloatArray | None = None) -> Gain:
+        """Return the gain ∇·u of a nodal velocity (local_nodes, d), ghosts filled. Collective.
+
+        out : (local_nodes, 1), where coefficients may go that are made anew.
+        """
 
     @abstractmethod
-    def gradient(self, rho: FloatArray, stage: int) -> Rate:
-        """Of (local_nodes, 1)."""
+    def gradient(self, rho: FloatArray, stage: int, out: FloatArray | None = None) -> Gain:
+        """Return the gain ∇ρ of a nodal density (local_nodes, 1), ghosts filled. Collective.
+
+        out : (local_nodes, d), where coefficients may go that are made anew.
+        """
 
     def forget(self) -> None:
         """Begin every series anew. Local."""
@@ -43,60 +58,55 @@ class Slopes(ABC):
         """Bytes held."""
         return 0
 
+    def divergence_sums(self, u: FloatArray) -> FloatArray:
+        """Return Σ_a ΦᵀD^a u_a, right on own and ghost nodes, (local_nodes, 1). Collective."""
+        out = self.work("scalar", 1)
+        out.fill(0.0)
+        return self.sweep.complete(self.sweep.divergence_sums(u, out))
+
+    def gradient_sums(self, rho: FloatArray) -> FloatArray:
+        """Return ΦᵀD^a ρ, right on own and ghost nodes, (local_nodes, d). Collective."""
+        out = self.work("vector", self.sweep.grid.dim)
+        out.fill(0.0)
+        return self.sweep.complete(self.sweep.gradient_sums(rho, out))
+
+    def gram(self, coefficients: FloatArray) -> FloatArray:
+        """Return G coefficients, (local_nodes, k). Collective."""
+        columns = coefficients.shape[1]
+        return self.sweep.gram.apply(coefficients, self.work("scalar" if columns == 1 else "vector", columns))
+
 
 class UnfilteredSlopes(Slopes):
     """D at the particles, unfiltered: each particle takes the gradient of the nodal fields itself."""
 
     direct = True
 
-    def __init__(self, sweep: ParticleSweep, mass: Mass) -> None:
-        self.sweep, self.mass = sweep, mass
+    def divergence(self, u: FloatArray, stage: int, out: FloatArray | None = None) -> Gain:
+        """Return the gain with coefficients u. Local."""
+        return Gain(u, False, self.divergence_sums, f"divergence {stage}")
 
-    def divergence(self, u: FloatArray, stage: int) -> Rate:
-        """Coefficients u."""
-        sums = self.sweep.complete(self.sweep.divergence_sums(u, out=self.sweep.grid.zeros(1)))
-        return Rate(u, self.mass.fields(sums, f"divergence {stage}"))
-
-    def gradient(self, rho: FloatArray, stage: int) -> Rate:
-        """Coefficients ρ."""
-        sums = self.sweep.complete(self.sweep.gradient_sums(rho, out=self.sweep.grid.zeros(self.sweep.grid.dim)))
-        return Rate(rho, self.mass.fields(sums, f"gradient {stage}"))
+    def gradient(self, rho: FloatArray, stage: int, out: FloatArray | None = None) -> Gain:
+        """Return the gain with coefficients ρ. Local."""
+        return Gain(rho, False, self.gradient_sums, f"gradient {stage}")
 
 
 class FilteredSlopes(Slopes):
-    """F D at the particles (the paper), or with `skew`, F of ½(D - (Dᵀ)ᵀ): ½(C - Cᵀ) in place of C = ΦᵀD.
+    """F D at the particles (the paper): coefficients N ΦᵀD^a of the filter F = Φ N Φᵀ."""
 
-    Skew, with least-squares fields and the exact projection, the rates are a skew-symmetric operator on particle
-    values: no integrator that is stable on the imaginary axis can make it grow. Its price is consistency on disordered
-    particles.
-    """
+    def __init__(self, sweep: ParticleSweep, work: Workspace, filter_: NodalFilter) -> None:
+        super().__init__(sweep, work)
+        self.filter = filter_
 
-    def __init__(self, sweep: ParticleSweep, mass: Mass, filter_: NodalFilter, skew: bool = False) -> None:
-        self.sweep, self.mass, self.filter, self.skew = sweep, mass, filter_, skew
+    def divergence(self, u: FloatArray, stage: int, out: FloatArray | None = None) -> Gain:
+        """Return the gain with coefficients N Σ_a C^a u_a, C = ΦᵀD. Collective."""
+        return self._filtered(self.divergence_sums(u), f"divergence {stage}", out)
 
-    def divergence(self, u: FloatArray, stage: int) -> Rate:
-        """Coefficients N Σ_a C^a u_a."""
-        sums = self.sweep.divergence_sums(u, out=self.sweep.grid.zeros(1))
-        if self.skew:
-            sums = 0.5 * (sums - self._transposable.transposed_divergence_sums(u, out=self.sweep.grid.zeros(1)))
-        return self._rate(sums, f"divergence {stage}")
+    def gradient(self, rho: FloatArray, stage: int, out: FloatArray | None = None) -> Gain:
+        """Return the gain with coefficients N C^a ρ. Collective."""
+        return self._filtered(self.gradient_sums(rho), f"gradient {stage}", out)
 
-    def gradient(self, rho: FloatArray, stage: int) -> Rate:
-        """Coefficients N C^a ρ."""
-        dim = self.sweep.grid.dim
-        sums = self.sweep.gradient_sums(rho, out=self.sweep.grid.zeros(dim))
-        if self.skew:
-            sums = 0.5 * (sums - self._transposable.transposed_gradient_sums(rho, out=self.sweep.grid.zeros(dim)))
-        return self._rate(sums, f"gradient {stage}")
-
-    def _rate(self, sums: FloatArray, series: str) -> Rate:
-        a = self.filter.coefficients(self.sweep.complete(sums), series=series)
-        return Rate(a, self.mass.response(a))
-
-    @property
-    def _transposable(self) -> SplineSweep:
-        assert isinstance(self.sweep, SplineSweep)
-        return self.sweep
+    def _filtered(self, sums: FloatArray, series: str, out: FloatArray | None) -> Gain:
+        return Gain(self.filter.coefficients(sums, out, series), True, self.gram, series)
 
     def forget(self) -> None:
         """Begin every series anew. Local."""
@@ -108,6 +118,29 @@ class FilteredSlopes(Slopes):
         return self.filter.nbytes
 
 
+class SkewSlopes(FilteredSlopes):
+    """F of ½(D - (Dᵀ)ᵀ): ½(C - Cᵀ) in place of C = ΦᵀD.
+
+    With least-squares fields and the exact projection, the rates are then a skew-symmetric operator on particle values:
+    no integrator that is stable on the imaginary axis can make it grow. Its price is consistency on disordered
+    particles.
+    """
+
+    sweep: SplineSweep
+
+    def divergence_sums(self, u: FloatArray) -> FloatArray:
+        """Return ½ Σ_a (C^a - (C^a)ᵀ) u_a, right on own and ghost nodes, (local_nodes, 1). Collective."""
+        zeros = self.sweep.grid.zeros
+        difference = self.sweep.divergence_sums(u, zeros(1)) - self.sweep.transposed_divergence_sums(u, zeros(1))
+        return self.sweep.complete(0.5 * difference)
+
+    def gradient_sums(self, rho: FloatArray) -> FloatArray:
+        """Return ½ (C^a - (C^a)ᵀ) ρ, right on own and ghost nodes, (local_nodes, d). Collective."""
+        zeros, dim = self.sweep.grid.zeros, self.sweep.grid.dim
+        difference = self.sweep.gradient_sums(rho, zeros(dim)) - self.sweep.transposed_gradient_sums(rho, zeros(dim))
+        return self.sweep.complete(0.5 * difference)
+
+
 class GridSlopes(Slopes):
     """Derivatives taken on the nodal arrays, by central differences: particles get Φ times them.
 
@@ -115,22 +148,24 @@ class GridSlopes(Slopes):
     any other filter acts on it: N G in place of 1.
     """
 
-    def __init__(self, sweep: NodalMapping, mass: Mass, order: int, filter_: NodalFilter | None = None) -> None:
-        self.sweep, self.mass, self.filter = sweep, mass, filter_
-        self.difference = CentralDifference(sweep.grid, order)
+    def __init__(self, sweep: ParticleSweep, work: Workspace, order: int, filter_: NodalFilter | None = None) -> None:
+        from mpipic.mesh.differences import CentralDifference
 
-    def divergence(self, u: FloatArray, stage: int) -> Rate:
-        """Coefficients Σ_a ∂_a u_a."""
-        return self._rate(self.difference.divergence(u), f"divergence {stage}")
+        super().__init__(sweep, work)
+        self.filter, self.difference = filter_, CentralDifference(sweep.grid, order)
 
-    def gradient(self, rho: FloatArray, stage: int) -> Rate:
-        """Coefficients ∂_a ρ."""
-        return self._rate(self.difference.gradient(rho), f"gradient {stage}")
+    def divergence(self, u: FloatArray, stage: int, out: FloatArray | None = None) -> Gain:
+        """Return the gain with coefficients Σ_a ∂_a u_a. Collective."""
+        return self._filtered(self.difference.divergence(u), f"divergence {stage}", out)
 
-    def _rate(self, a: FloatArray, series: str) -> Rate:
+    def gradient(self, rho: FloatArray, stage: int, out: FloatArray | None = None) -> Gain:
+        """Return the gain with coefficients ∂_a ρ. Collective."""
+        return self._filtered(self.difference.gradient(rho), f"gradient {stage}", out)
+
+    def _filtered(self, slopes: FloatArray, series: str, out: FloatArray | None) -> Gain:
         if self.filter is not None:
-            a = self.filter.coefficients(self.sweep.apply_gram(a), series=series)
-        return Rate(a, self.mass.response(a))
+            slopes = self.filter.coefficients(self.gram(slopes), out, series)
+        return Gain(slopes, True, self.gram, series)
 
     def forget(self) -> None:
         """Begin every series anew. Local."""

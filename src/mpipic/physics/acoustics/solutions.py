@@ -17,14 +17,15 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from fractions import Fraction
 from functools import reduce
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
+from mpipic.arrays import FloatArray
+from mpipic.physics.acoustics.gas import Gas
+
 Fields = tuple[FloatArray, FloatArray]  # density (n,) and velocity (n, d)
 
 # Terms below exp(-EXPONENT), about 1e-17, of the largest value are dropped.
@@ -33,15 +34,6 @@ EXPONENT = 39.0
 CHUNK = 1 << 19
 # Waves per axis that the series of a Gaussian may have, by dimension; each point costs their product.
 MOST_WAVES = {2: 8192, 3: 512}
-
-
-@dataclass(frozen=True)
-class Gas:
-    """Constants of the gas: sound speed c, uniform flow v (one entry per axis) and undisturbed density ρ₀."""
-
-    sound_speed: float
-    flow: tuple[float, ...]
-    density: float
 
 
 class Solution(ABC):

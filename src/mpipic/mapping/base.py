@@ -1,0 +1,198 @@
+"""What every mapping between particles and nodes can do, whoever keeps the particles.
+
+Symbols as in the method: Φ interpolates nodes to particles, D^a differentiates, V are particle weights (1 by default),
+d = ΦᵀV1 are the row sums, S = diag(d)⁻¹ΦᵀV is the paper's mapping matrix, and G = ΦᵀVΦ.
+
+Values have any shape, (n, *shape) on particles and (local_nodes, *shape) on nodes; each component is mapped alike.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+
+import numpy as np
+
+from mpipic.arrays import FloatArray, IntArray, columns_of
+from mpipic.kernels import generic, spline, stencil
+from mpipic.mapping.gram import Gram
+from mpipic.mesh.grid import Grid
+
+
+class NodalMapping(ABC):
+    """Φ, D, S and G where particles are.
+
+    Attributes
+    ----------
+    grid
+    weights : (local_nodes,)
+        Row sums d, right on own and ghost nodes.
+    inverse_weights : (local_nodes,)
+        1 / d, 0 on nodes that no particle sees.
+    version : int
+        Counts changes of positions.
+    gram : Gram
+        G at the present positions.
+
+    Notes
+    -----
+    `sums`, `p2g` and `adjoint_gradient` are collective on neighbours: one pass over the particles, one halo sum, one
+    fill. `g2p`, `gradient` and `divergence` are local: one pass. Nodal arrays are ghosted (see `mpipic.mesh.grid`).
+
+    References
+    ----------
+    Gritton, Berzins, Kirby (2015), eq. 8-13.
+    """
+
+    grid: Grid
+    weights: FloatArray
+    inverse_weights: FloatArray
+    version: int
+    gram: Gram
+    phase: Callable[[str], None]
+
+    @property
+    @abstractmethod
+    def moments(self) -> FloatArray | None:
+        """Pair moments of own cells, (local_cells, 3^d), on the linear basis; None on others. Local."""
+
+    @property
+    @abstractmethod
+    def located(self) -> tuple[IntArray, FloatArray]:
+        """Local cell (n,) and local coordinates (n, d) of the particles. Local."""
+
+    @property
+    @abstractmethod
+    def count(self) -> int:
+        """Particles on this rank."""
+
+    @property
+    def weight(self) -> FloatArray | None:
+        """V_p, (n,); None where each particle counts 1. Local."""
+        return None
+
+    # ------------------------------------------------------------ particles to nodes
+
+    def sums(self, values: FloatArray) -> FloatArray:
+        """Return ΦᵀV values: (n, *shape) to (local_nodes, *shape).
+
+        Σ over own nodes of all ranks = Σ over particles. Collective.
+        """
+        rows = columns_of(values)
+        if self.weight is not None:
+            rows = rows * self.weight[:, None]
+        out = self.grid.zeros(rows.shape[1])
+        spline.add_sums(self.grid.degree, *self.located, rows, *self._geometry, out)
+        return self.complete(out).reshape(-1, *np.shape(values)[1:])
+
+    def p2g(self, values: FloatArray) -> FloatArray:
+        """Return S values, weighted means at the nodes: (n, *shape) to (local_nodes, *shape).
+
+        Keeps constants; 0 on nodes that no particle sees. Collective.
+        """
+        return self.divide(self.sums(values))
+
+    def adjoint_gradient(self, values: FloatArray) -> FloatArray:
+        """Return Σ_a (D^a)ᵀ values_a: (n, *shape, d) to (local_nodes, *shape).
+
+        ⟨w, adjoint_gradient(q)⟩ over own nodes = ⟨gradient(w), q⟩ over particles; unweighted. Collective.
+        """
+        dim, shape = self.grid.dim, np.shape(values)[1:-1]
+        rows = columns_of(values).reshape(self.count, -1, dim)
+        out = self.grid.zeros(rows.shape[1])
+        for column in range(rows.shape[1]):
+            along, total = np.ascontiguousarray(rows[:, column]), np.zeros(len(out))
+            spline.add_divergence_sums(self.grid.degree, *self.located, along, *self._differences, total)
+            out[:, column] = total
+        return self.complete(out).reshape(-1, *shape)
+
+    # ------------------------------------------------------------ nodes to particles
+
+    def g2p(self, nodal: FloatArray) -> FloatArray:
+        """Return Φ nodal, spline values: (local_nodes, *shape) to (n, *shape).
+
+        Keeps constants and linear functions. Local.
+        """
+        rows = columns_of(nodal)
+        out = np.zeros((self.count, rows.shape[1]))
+        rate = np.ones(rows.shape[1])
+        spline.add_interpolated(self.grid.degree, *self.located, rows, rate, *self._geometry, out)
+        return out.reshape(-1, *np.shape(nodal)[1:])
+
+    def gradient(self, nodal: FloatArray) -> FloatArray:
+        """Return D^a nodal, a last: (local_nodes, *shape) to (n, *shape, d).
+
+        On a node it is the slope of the cell to its right. Local; one pass a component.
+        """
+        rows, shape = columns_of(nodal), np.shape(nodal)[1:]
+        out = np.zeros((rows.shape[1], self.count, self.grid.dim))
+        for column in range(rows.shape[1]):
+            values = np.ascontiguousarray(rows[:, column])
+            spline.add_gradient(self.grid.degree, *self.located, values, 1.0, *self._differences, out[column])
+        return np.moveaxis(out, 0, 1).reshape(self.count, *shape, self.grid.dim)
+
+    def divergence(self, nodal: FloatArray) -> FloatArray:
+        """Return Σ_a D^a nodal_a: (local_nodes, *shape, d) to (n, *shape). Local; one pass a component."""
+        dim, shape = self.grid.dim, np.shape(nodal)[1:-1]
+        rows = columns_of(nodal).reshape(len(nodal), -1, dim)
+        out = np.zeros((rows.shape[1], self.count))
+        for column in range(rows.shape[1]):
+            along = np.ascontiguousarray(rows[:, column])
+            spline.add_divergence(self.grid.degree, *self.located, along, 1.0, *self._differences, out[column])
+        return np.moveaxis(out, 0, 1).reshape(self.count, *shape)
+
+    # ------------------------------------------------------------ on nodes
+
+    def divide(self, sums: FloatArray, out: FloatArray | None = None) -> FloatArray:
+        """Return nodal means from nodal sums, diag(d)⁻¹ sums; 0 on nodes that no particle sees. Local."""
+        self.phase("nodes")
+        result = np.empty(sums.shape) if out is None else out
+        wide, into = (a if a.ndim == 2 else a.reshape(len(a), -1) for a in (sums, result))
+        generic.scale_rows(wide, self.inverse_weights, into)
+        return result
+
+    def divide_changed(self, sums: FloatArray, scale: float, change: FloatArray, out: FloatArray) -> FloatArray:
+        """Return diag(d)⁻¹ (sums + scale change), (local_nodes, k); `out` may be `change`. Local."""
+        self.phase("nodes")
+        generic.scale_changed(sums, scale, change, self.inverse_weights, out)
+        return out
+
+    def complete(self, sums: FloatArray) -> FloatArray:
+        """Return nodal sums made right on own and ghost nodes, in place: one halo sum, one fill. Collective."""
+        self.phase("halo")
+        self.grid.sum_halo(sums)
+        self.grid.fill_halo(sums)
+        self.phase("nodes")
+        return sums
+
+    # ------------------------------------------------------------ for G
+
+    def add_passed(self, nodal: FloatArray, out: FloatArray) -> None:
+        """Add G nodal to `out`, one column, by two passes over the particles; ghosts still hold their share. Local."""
+        seen = np.zeros((self.count, 1))
+        values = np.ascontiguousarray(nodal)
+        spline.add_interpolated(self.grid.degree, *self.located, values, np.ones(1), *self._geometry, seen)
+        if self.weight is not None:
+            seen *= self.weight[:, None]
+        spline.add_sums(self.grid.degree, *self.located, seen, *self._geometry, out)
+
+    def add_gram_entries(self, layout: tuple[int, int, int], entries: FloatArray) -> None:
+        """Add half of G's rows in a padding of `layout` to entries (nodes, h) (see `kernels.stencil`).
+
+        Local; ghosts still hold what belongs to their owners.
+        """
+        dim, degree, shape = self.grid.dim, self.grid.degree, self.grid.padded_shape
+        moments = self.moments
+        if moments is not None:
+            stencil.add_moments(moments, stencil.moment_terms(dim), shape, layout, entries)
+        else:
+            weight = np.ones(self.count) if self.weight is None else self.weight
+            spline.add_gram_entries(degree, *self.located, weight, shape, layout, entries)
+
+    @property
+    def _geometry(self) -> tuple[tuple[int, ...], tuple[int, int, int]]:
+        return self.grid.padded_shape, self.grid.layout
+
+    @property
+    def _differences(self) -> tuple[FloatArray, tuple[int, ...], tuple[int, int, int]]:
+        return np.array(self.grid.inverse_h), self.grid.padded_shape, self.grid.layout
