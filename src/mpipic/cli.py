@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mpipic import __version__
 from mpipic.errors import NotConverged, Refused
 from mpipic.runtime import ANNOUNCED, launched_rank, start
 
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from mpipic.scene.records import Scene
 
 app = typer.Typer(
-    help="Distributed particle-in-cell solver with null-space filters.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -42,6 +42,21 @@ Preset = Annotated[
 ]
 
 BAD_INPUT, NOT_CONVERGED = 2, 4
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"mpipic {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def before_the_verb(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and end.")
+    ] = False,
+) -> None:
+    """Distributed particle-in-cell solver with null-space filters."""
 
 
 def _load(path: Path | None, overrides: list[str] | None, comm: Any, preset: str | None = None) -> Scene:

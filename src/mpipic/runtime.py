@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import sys
 import traceback
@@ -13,6 +14,13 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_
 RANKS = ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "MV2_COMM_WORLD_RANK")
 ANNOUNCED = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "MV2_COMM_WORLD_SIZE")
 STOP_SIGNALS = ("SIGINT", "SIGTERM", "SIGUSR1")
+BANNER = re.compile(r"^-{60,}\n(?:.*\n)*?-{60,}\n?", re.MULTILINE)
+"""What Open MPI says between two rules, such as that a rank has failed."""
+FOREIGN = re.compile(
+    r"\[?hwloc\b|\*"  # hwloc where it does not understand the machine: a line, or a box of stars
+    r"|\[[^\]]+:\d+\] (?:\d+ more process|Set MCA parameter)"  # Open MPI on banners that it has left out
+    r"|=+$|=   |application called MPI_Abort|\[(?:proxy|mpiexec)[:@]"  # MPICH's launcher
+)
 
 
 def settle() -> None:
@@ -69,6 +77,12 @@ def _abort_all(kind: type[BaseException], error: BaseException, trace: Traceback
     sys.stdout.flush()
     sys.stderr.flush()
     MPI.COMM_WORLD.Abort(1)
+
+
+def without_launcher(said: str) -> str:
+    """Return what ranks said on standard error without what their launcher and the libraries below them added."""
+    lines = BANNER.sub("", said).splitlines(keepends=True)
+    return "".join(line for line in lines if not FOREIGN.match(line))
 
 
 class StopRequest:

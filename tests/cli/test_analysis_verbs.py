@@ -21,7 +21,7 @@ KEPT = {
 
 
 def on(ranks, *args):
-    return mpipic(*args, ranks=ranks, timeout=120) if ranks > 1 else mpipic_here(*args)
+    return mpipic(*args, ranks=ranks) if ranks > 1 else mpipic_here(*args)
 
 
 @pytest.mark.parametrize("ranks", [1, 2])
@@ -100,7 +100,7 @@ def test_a_stability_map_has_a_point_for_every_value_and_filter(tmp_path):
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_the_short_trials_are_all_good(tmp_path, ranks):
     file = tmp_path / "trials.json"
-    done = mpipic("trials", "--short", "-o", file, ranks=ranks, timeout=200)
+    done = mpipic("trials", "--short", "-o", file, ranks=ranks)
     cases = json.loads(file.read_text())["cases"]
     assert [case["case"] for case in cases if case["verdict"] != "good"] == []
     assert done.returncode == 0 and len(cases) >= 12

@@ -153,7 +153,7 @@ def said(tmp_path_factory: pytest.TempPathFactory) -> Said:
             cases["run-too-many-ranks"] = ["run", *overrides("grid.cells=[1]"), "--output", f"{HERE}/x"]
             filled = json.dumps(cases).replace(HERE, str(folder))
             (place / "cases.json").write_text(filled)
-            ended = run_ranks(ranks, COMMANDS, str(place / "cases.json"), str(place), timeout=90)
+            ended = run_ranks(ranks, COMMANDS, str(place / "cases.json"), str(place))
             assert ended.returncode == 0, ended.stdout + ended.stderr
         codes = json.loads((place / "codes.json").read_text())[name]
         out, err = ([(place / f"{name}.{rank}.{kind}").read_text() for rank in range(ranks)] for kind in ("out", "err"))
@@ -232,7 +232,7 @@ def test_a_refused_scene_overwrites_nothing(said: Said, ranks: int) -> None:
 
 @pytest.mark.mpi
 def test_mpiexec_ends_with_code_2_and_the_message_once() -> None:
-    ended = mpipic("run", "--set", "particles.layout=clustered", ranks=2, timeout=30)
+    ended = mpipic("run", "--set", "particles.layout=clustered", ranks=2)
     assert ended.returncode == 2 and ended.stdout.count("not available") == 0
     assert ended.stderr.count('particles.layout = "clustered": not available yet') == 1
     assert "Traceback" not in ended.stderr
@@ -249,7 +249,7 @@ USAGE = {
 @pytest.mark.parametrize("name", USAGE)
 def test_wrong_usage_says_what_is_wrong_with_exit_code_2(name: str) -> None:
     arguments, message = USAGE[name]
-    ended = finish(start([sys.executable, "-m", "mpipic", *arguments]), 30)
+    ended = finish(start([sys.executable, "-m", "mpipic", *arguments]))
     assert ended.returncode == 2 and ended.stdout == ""
     assert ended.stderr.count(message) == 1 and "Traceback" not in ended.stderr
 
@@ -257,14 +257,14 @@ def test_wrong_usage_says_what_is_wrong_with_exit_code_2(name: str) -> None:
 @pytest.mark.mpi
 def test_wrong_usage_and_help_appear_once_under_mpiexec() -> None:
     arguments, message = USAGE["unknown-option"]
-    ended = mpipic(*arguments, ranks=2, timeout=30)
+    ended = mpipic(*arguments, ranks=2)
     assert ended.returncode == 2 and ended.stderr.count(message) == 1 and "Traceback" not in ended.stderr
-    ended = mpipic("run", "--help", ranks=2, timeout=30)
+    ended = mpipic("run", "--help", ranks=2)
     assert ended.returncode == 0 and ended.stdout.count("Usage") == 1
 
 
 @pytest.mark.mpi
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_help_is_plain_text_where_it_is_kept(ranks: int) -> None:
-    ended = mpipic("run", "--help", ranks=ranks, timeout=30)
+    ended = mpipic("run", "--help", ranks=ranks)
     assert "--overwrite" in ended.stdout and "\x1b" not in ended.stdout

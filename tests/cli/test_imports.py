@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from helpers import TESTS, finish, run_ranks, start
+from helpers import HANG, TESTS, finish, mpipic, run_ranks, start
+from mpipic import __version__
 
 MODULES = TESTS / "parallel" / "modules_helpers.py"
 PAPER = str(TESTS.parent / "configs" / "paper.toml")
@@ -20,9 +21,9 @@ def modules(folder: Path, ranks: int, *arguments: str) -> list[set[str]]:
     place = folder / "modules"
     place.mkdir()
     if ranks == 1:
-        ended = finish(start([sys.executable, MODULES, place, *arguments], folder), 90)
+        ended = finish(start([sys.executable, MODULES, place, *arguments], folder))
     else:
-        ended = run_ranks(ranks, MODULES, str(place), *arguments, timeout=90)
+        ended = run_ranks(ranks, MODULES, str(place), *arguments)
     assert ended.returncode == 0, ended.stdout + ended.stderr
     (folder / "printed").write_text(ended.stdout)
     return [set((place / str(rank)).read_text().split()) for rank in range(ranks)]
@@ -84,7 +85,7 @@ def test_check_imports_nothing_that_only_a_run_needs(tmp_path: Path) -> None:
 
 def test_the_package_itself_imports_neither_mpi_nor_numpy() -> None:
     code = "import mpipic, sys; print(mpipic.__version__, *sorted(sys.modules))"
-    ended = subprocess.run([sys.executable, "-c", code], text=True, capture_output=True, timeout=30, check=True)
+    ended = subprocess.run([sys.executable, "-c", code], text=True, capture_output=True, timeout=HANG, check=True)
     version, *names = ended.stdout.split()
     assert version.count(".") == 2 and "mpipic" in names
     assert {name.split(".")[0] for name in names}.isdisjoint({"mpi4py", "numpy", "petsc4py", "numba", "typer", "h5py"})
@@ -92,10 +93,17 @@ def test_the_package_itself_imports_neither_mpi_nor_numpy() -> None:
 
 def test_looking_at_a_scene_starts_no_mpi() -> None:
     code = "import sys; from mpipic import Scene; Scene.load(None); print(*sys.modules)"
-    ended = subprocess.run([sys.executable, "-c", code], text=True, capture_output=True, timeout=30, check=True)
+    ended = subprocess.run([sys.executable, "-c", code], text=True, capture_output=True, timeout=HANG, check=True)
     assert {name.split(".")[0] for name in ended.stdout.split()}.isdisjoint({"mpi4py", "petsc4py", "numba", "numpy"})
 
 
-def test_help_starts_no_mpi(tmp_path: Path) -> None:
-    (found,) = modules(tmp_path, 1, "--help")
+@pytest.mark.parametrize("option", ["--help", "--version"])
+def test_help_and_version_start_no_mpi(tmp_path: Path, option: str) -> None:
+    (found,) = modules(tmp_path, 1, option)
     assert found.isdisjoint({"mpi4py", "petsc4py", "numba", "h5py"})
+
+
+@pytest.mark.parametrize("ranks", [1, pytest.param(2, marks=pytest.mark.mpi)])
+def test_the_version_is_printed_once_on_any_number_of_ranks(ranks: int) -> None:
+    ended = mpipic("--version", ranks=ranks)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, f"mpipic {__version__}\n", "")

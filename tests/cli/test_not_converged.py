@@ -50,7 +50,7 @@ def test_a_solver_that_is_cut_short_at_once_ends_the_run_with_exit_code_4(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ranks: int
 ) -> None:
     monkeypatch.setenv("PETSC_OPTIONS", "-filter_ksp_max_it 1")
-    ended = mpipic("run", *RANDOM, *overrides("time.steps=20"), "--output", tmp_path / "out", ranks=ranks, timeout=60)
+    ended = mpipic("run", *RANDOM, *overrides("time.steps=20"), "--output", tmp_path / "out", ranks=ranks)
     check_refusal(ended, most=1)
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"scene.toml", "history.csv"}
     (row,) = rows_of(tmp_path / "out")
@@ -76,7 +76,7 @@ def late(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], SimpleName
             with pytest.MonkeyPatch.context() as patch:
                 patch.setenv("PETSC_OPTIONS", "-filter_ksp_max_it 10")
                 done[ranks] = SimpleNamespace(
-                    ended=mpipic("run", *scene, "--output", out, ranks=ranks, timeout=60), folder=out
+                    ended=mpipic("run", *scene, "--output", out, ranks=ranks), folder=out
                 )
         return done[ranks]
 
@@ -106,7 +106,7 @@ def test_history_and_snapshots_until_then_are_kept(late: Callable[[int], SimpleN
 
 def run_unstable(folder: Path, ranks: int, *texts: str) -> dict[str, object]:
     words = [*overrides(*texts), "--no-plots", "--output", folder]
-    ended = mpipic("run", *words, ranks=ranks, timeout=60)
+    ended = mpipic("run", *words, ranks=ranks)
     assert ended.returncode == 3, f"{ended.returncode}\n{ended.stdout}\n{ended.stderr}"
     assert ended.stderr.count("error: unstable: ") == 1 and "residual" not in ended.stderr
     assert "Traceback" not in ended.stderr and "Warning" not in ended.stderr

@@ -26,7 +26,7 @@ assert 0.01 < np.abs(filtered - q).max() < 0.5, "a filter that does nothing, or 
 print("filtered", MPI.COMM_WORLD.rank)
 """
     script.write_text(example + check, encoding="utf-8")
-    finished = run_python(ranks, script, timeout=120)
+    finished = run_python(ranks, script)
     assert finished.returncode == 0, finished.stderr
     assert finished.stdout.count("filtered") == ranks
 

@@ -57,7 +57,7 @@ def final_particles(folder: Path, step: int) -> dict[str, np.ndarray]:
 def paper(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, str]:
     """The paper's scene on 2 ranks: folder, what was printed, what went to standard error."""
     folder = tmp_path_factory.mktemp("paper") / "out"
-    ended = mpipic("run", PAPER, "--output", folder, ranks=2, timeout=120)
+    ended = mpipic("run", PAPER, "--output", folder, ranks=2)
     assert ended.returncode == 0, ended.stdout + ended.stderr
     return folder, ended.stdout, ended.stderr
 
@@ -67,7 +67,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """A small scene on 2 ranks with snapshots, and what was printed."""
     folder = tmp_path_factory.mktemp("small") / "out"
     arguments = ["run", "--output", folder, "--no-plots", *sets(*SMALL, "output.every=15")]
-    ended = mpipic(*arguments, ranks=2, timeout=120)
+    ended = mpipic(*arguments, ranks=2)
     assert ended.returncode == 0, ended.stdout + ended.stderr
     return folder, ended.stdout
 

@@ -39,9 +39,9 @@ def is_stepping(folder: Path) -> Callable[[], bool]:
 
 def stop(process: subprocess.Popen[str], folder: Path, send: Callable[[], None]) -> subprocess.CompletedProcess[str]:
     """Wait until the run steps, send the signal, wait for the end."""
-    wait_until(is_stepping(folder), process, timeout=120)
+    wait_until(is_stepping(folder), process)
     send()
-    return finish(process, 30)
+    return finish(process)
 
 
 def check_kept(folder: Path, ranks: int, snapshots: bool = False) -> None:
@@ -101,9 +101,9 @@ def test_ending_mpiexec_ends_all_ranks_in_order(tmp_path: Path, monkeypatch: pyt
         runs.append((folder, number, start_ranks(2, "-m", "mpipic", "run", "--output", folder, *ENDLESS)))
     try:
         for folder, number, process in runs:
-            wait_until(is_stepping(folder), process, timeout=120)
+            wait_until(is_stepping(folder), process)
             process.send_signal(number)
-        ended = [finish(process, 30) for _, _, process in runs]
+        ended = [finish(process) for _, _, process in runs]
     finally:
         for _, _, process in runs:
             if process.poll() is None:

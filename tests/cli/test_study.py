@@ -19,7 +19,7 @@ STUDY = """
 title = "Four ends"
 until = 0.5
 repeats = 1
-timeout = 60
+timeout = 200
 [base]
 grid.cells = [12]
 time.blow_up = 1.5
@@ -55,7 +55,7 @@ def rows(folder: Path) -> list[dict[str, str]]:
 
 def run(study: Path, folder: Path, *more: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "mpipic", "study", study, "--output", folder, *more]
-    return finish(start(command, env=environment(**NO_LAUNCHER)), 90)
+    return finish(start(command, env=environment(**NO_LAUNCHER)))
 
 
 def running(folder: Path) -> list[str]:
@@ -70,7 +70,7 @@ def test_an_interrupted_study_goes_on_where_it_stopped_and_no_point_can_end_it(s
     process = start(command, env=environment(**NO_LAUNCHER))
     wait_until(lambda: len(lines(folder)) == 1 and len(running(folder)) > 1, process)
     process.send_signal(signal.SIGINT)
-    stopped = finish(process, 30)
+    stopped = finish(process)
     assert stopped.returncode == 130 and "goes on from here" in stopped.stderr, stopped.stderr
     assert "Traceback" not in stopped.stderr and running(folder) == []
     first = lines(folder)
@@ -144,11 +144,11 @@ def test_a_study_refuses_several_ranks_and_under_mpiexec_starts_ranks_itself(tmp
     study, folder = tmp_path / "s.toml", tmp_path / "out"
     study.write_text("until = 0.1\nrepeats = 1\n[base]\nranks = 2\ngrid.cells = [8]")
     arguments = ["-m", "mpipic", "study", study, "--output", folder]
-    refused = run_python(2, *arguments, timeout=60)
+    refused = run_python(2, *arguments)
     assert refused.returncode == 2 and not folder.exists()
     assert refused.stderr.count("a study runs on one process") == 1
     launched = [*launcher(1), sys.executable, *arguments]
-    ended = finish(start(launched), 90)
+    ended = finish(start(launched))
     assert ended.returncode == 0, ended.stdout + ended.stderr
     (record,) = lines(folder)
     assert (record["status"], record["ranks"], record["particles"]) == ("completed", 2, 16)

@@ -71,7 +71,7 @@ def case_delay() -> None:
     comm = start()
     if comm.rank == comm.size - 1:
         fail_deep_inside()
-    time.sleep(300)
+    time.sleep(3600)
 
 
 if __name__ == "__main__":

@@ -28,7 +28,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int, str, str
     def result(ranks: int, case: str, solver: str) -> Found:
         if ranks not in said:
             file = tmp_path_factory.mktemp("growth") / f"{ranks}.json"
-            ended = run_ranks(ranks, HELPERS, str(file), timeout=240)
+            ended = run_ranks(ranks, HELPERS, str(file))
             said[ranks] = ended.stdout + ended.stderr
             assert ended.returncode == 0, said[ranks]
             said[ranks] = json.loads(file.read_text(encoding="utf-8"))

@@ -50,7 +50,7 @@ def ended(tmp_path_factory: pytest.TempPathFactory) -> Ended:
     def of(ranks: int) -> tuple[Path, subprocess.CompletedProcess[str]]:
         place = folder / str(ranks)
         prepare(place)
-        return place, run_ranks(ranks, HELPERS, str(place), *CASES, timeout=60)
+        return place, run_ranks(ranks, HELPERS, str(place), *CASES)
 
     return of
 
@@ -66,7 +66,7 @@ def folder_of(case: str, ended: Ended, ranks: int) -> Path:
 def alone(case: str, folder: Path, ranks: int) -> subprocess.CompletedProcess[str]:
     """Run a case that ends its ranks, in `folder`/`case`."""
     (folder / case).mkdir()
-    return run_ranks(ranks, HELPERS, str(folder), case, timeout=60)
+    return run_ranks(ranks, HELPERS, str(folder), case)
 
 
 @pytest.mark.parametrize("ranks", [1, 2, 3])

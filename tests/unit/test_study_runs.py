@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import sys
 import time
@@ -13,6 +14,7 @@ from typing import Any
 import psutil
 import pytest
 
+from helpers import HANG
 from mpipic.errors import OutputError
 from mpipic.study import runs as study_runs
 from mpipic.study.file import Study, load
@@ -39,7 +41,7 @@ def has_ended(place: Path) -> bool:
         return True
 
 
-def launched(code: str, tmp_path: Path, timeout: float = 30.0) -> tuple[Any, str]:
+def launched(code: str, tmp_path: Path, timeout: float = HANG) -> tuple[Any, str]:
     with (tmp_path / "log").open("w") as log:
         ended = launch(python(code), dict(os.environ), timeout, log)
     return ended, (tmp_path / "log").read_text()
@@ -49,7 +51,7 @@ def test_a_process_gives_code_time_memory_and_what_it_said(tmp_path: Path) -> No
     code = "import sys, time; x = bytearray(300_000_000); time.sleep(.2); print('hm', file=sys.stderr); sys.exit(3)"
     ended, said = launched(code, tmp_path)
     assert ended.code == 3 and said == "hm\n"
-    assert 0.2 <= ended.seconds < 20 and 3e8 < ended.peak_memory < 2e9
+    assert ended.seconds >= 0.2 and 3e8 < ended.peak_memory < 2e9
 
 
 def test_a_signal_is_a_negative_code(tmp_path: Path) -> None:
@@ -57,40 +59,57 @@ def test_a_signal_is_a_negative_code(tmp_path: Path) -> None:
     assert ended.code == -9
 
 
+DEAF = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN)\n"
+
+
+def endless(place: Path, then: str = "") -> str:
+    """A program that writes its number, and goes on for longer than any test waits."""
+    return f"import os, time; open({str(place)!r}, 'w').write(str(os.getpid())); {then}time.sleep(3600)"
+
+
+def run_out_of_time(monkeypatch: Any, place: Path) -> None:
+    """Let the time of a run be over as soon as it has written its number, however long the machine takes for that."""
+    real = time.monotonic
+    is_ready = lambda: place.exists() and place.stat().st_size  # noqa: E731
+    monkeypatch.setattr(study_runs, "GRACE", 0.3)
+    monkeypatch.setattr(study_runs.time, "monotonic", lambda: real() + (2 * HANG if is_ready() else 0.0))
+
+
 @pytest.mark.parametrize("deaf", [False, True])
 def test_a_process_that_takes_too_long_is_ended_even_if_deaf(tmp_path: Path, monkeypatch: Any, deaf: bool) -> None:
-    monkeypatch.setattr(study_runs, "GRACE", 0.3)
     place = tmp_path / "pid"
-    ignore = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN)\n" if deaf else ""
-    code = f"{ignore}import os, time; open({str(place)!r}, 'w').write(str(os.getpid())); time.sleep(60)"
-    began = time.monotonic()
-    ended, _ = launched(code, tmp_path, 1.5)
-    assert ended.code is None and time.monotonic() - began < 10
-    assert has_ended(place)
+    run_out_of_time(monkeypatch, place)
+    ended, _ = launched((DEAF if deaf else "") + endless(place), tmp_path)
+    assert ended.code is None and has_ended(place)
 
 
 def test_what_a_process_started_in_a_session_of_its_own_is_ended_with_it(tmp_path: Path, monkeypatch: Any) -> None:
     """As the ranks of an mpiexec that has to be killed."""
-    monkeypatch.setattr(study_runs, "GRACE", 0.3)
     place = tmp_path / "pid"
-    deaf = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN)\n"
-    rank = f"{deaf}import os, time; open({str(place)!r}, 'w').write(str(os.getpid())); time.sleep(60)"
-    launcher = f"{deaf}import subprocess; subprocess.run({python(rank)!r}, start_new_session=True)"
-    ended, _ = launched(launcher, tmp_path, 3.0)
+    run_out_of_time(monkeypatch, place)
+    launcher = f"{DEAF}import subprocess; subprocess.run({python(DEAF + endless(place))!r}, start_new_session=True)"
+    ended, _ = launched(launcher, tmp_path)
     assert ended.code is None and has_ended(place)
 
 
 def test_an_interruption_ends_the_process(tmp_path: Path) -> None:
     place = tmp_path / "pid"
-    code = f"import os, time; open({str(place)!r}, 'w').write(str(os.getpid())); time.sleep(60)"
-    before = signal.signal(signal.SIGALRM, lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
-    signal.setitimer(signal.ITIMER_REAL, 1.0)
+    before = signal.signal(signal.SIGUSR2, lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
     try:
         with pytest.raises(KeyboardInterrupt):
-            launched(code, tmp_path)
+            launched(endless(place, f"os.kill({os.getpid()}, {int(signal.SIGUSR2)}); "), tmp_path)
     finally:
-        signal.signal(signal.SIGALRM, before)
+        signal.signal(signal.SIGUSR2, before)
     assert has_ended(place)
+
+
+BANNERS = f"""[hwloc/linux] failed to find sysfs cpu topology directory, aborting linux discovery.
+Traceback (most recent call last):
+ValueError: oh
+{"-" * 74}
+MPI_ABORT was invoked on rank 1 in communicator MPI_COMM_WORLD
+{"-" * 74}
+"""
 
 
 @pytest.mark.parametrize(
@@ -100,8 +119,9 @@ def test_an_interruption_ends_the_process(tmp_path: Path) -> None:
         ("import sys; print('error: no', file=sys.stderr); sys.exit(2)", "refused", "no"),
         ("raise ValueError('oh')", "crashed", "exit code 1; ValueError: oh"),
         ("import os; os.kill(os.getpid(), 11)", "crashed", "signal SIGSEGV"),
+        (f"import sys; sys.stderr.write({BANNERS!r}); sys.exit(1)", "crashed", "exit code 1; ValueError: oh"),
         ("pass", "crashed", "exit code 0"),
-        ("import time; time.sleep(60)", "timeout", "ended after 1 s"),
+        ("import time; time.sleep(3600)", "timeout", r"ended after \d+ s"),
     ],
 )
 def test_every_way_to_fail_is_a_record(
@@ -110,8 +130,9 @@ def test_every_way_to_fail_is_a_record(
     monkeypatch.setattr(study_runs, "command", lambda ranks, *arguments: python(code))
     write_scenes(tmp_path, study.points)
     point = study.points[0]
-    record = run_once(point, scene_file(tmp_path, point), 1, 1.0 if status == "timeout" else 30.0)
-    assert (record["id"], record["status"], record["message"]) == (point.id, status, message)
+    record = run_once(point, scene_file(tmp_path, point), 1, 1.0 if status == "timeout" else HANG)
+    assert (record["id"], record["status"]) == (point.id, status)
+    assert re.fullmatch(message, record["message"])
     assert record["errors"] is None and list(tmp_path.glob(".run-*")) == []
     json.dumps(record, allow_nan=False)
 

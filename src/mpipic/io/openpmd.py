@@ -14,11 +14,12 @@ import getpass
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from importlib import metadata
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from mpipic import __version__
 
 AXES = ("x", "y", "z")
 SPECIES = "particles/gas"
@@ -94,7 +95,7 @@ def root_attributes(name: str = "", comment: str = "") -> Attributes:
         "iterationFormat": text("/data/%T/"),
         "author": text(_user()),
         "software": text("mpipic"),
-        "softwareVersion": text(package_version()),
+        "softwareVersion": text(__version__),
         "date": text(datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S +0000")),
     }
     return attributes | ({"comment": text(note)} if note else {})
@@ -144,14 +145,6 @@ def record_attributes(name: str) -> Attributes:
 def text(value: str) -> np.bytes_:
     """A fixed-length HDF5 string; other characters than ASCII are kept as UTF-8."""
     return np.bytes_(value.encode())
-
-
-def package_version() -> str:
-    """Version of the installed package, or "unknown" when run from a source tree."""
-    try:
-        return metadata.version("mpipic")
-    except metadata.PackageNotFoundError:
-        return "unknown"
 
 
 def _user() -> str:

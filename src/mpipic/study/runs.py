@@ -29,7 +29,7 @@ import psutil
 from mpipic.errors import OutputError
 from mpipic.files import Unreadable, plain, read_text, to_json, write_text
 from mpipic.io.run_directory import SUMMARY
-from mpipic.runtime import RANKS
+from mpipic.runtime import RANKS, without_launcher
 from mpipic.scene.text import escape
 from mpipic.study.points import Point
 
@@ -189,7 +189,7 @@ def _message(status: str, ended: Ended, said: str) -> str:
         return ""
     if status == TIMEOUT:
         return f"ended after {ended.seconds:.0f} s"
-    lines = [line.strip() for line in said.splitlines() if line.strip()]
+    lines = [line.strip() for line in without_launcher(said).splitlines() if line.strip()]
     own = [line.removeprefix("error: ") for line in lines if line.startswith("error: ")] or lines[-1:]
     own = [line.removeprefix(f"{status}: ") for line in own]
     code = ended.code or 0
