@@ -36,8 +36,7 @@ class ParticleArrays(Protocol):
 def columns_of(values: npt.ArrayLike) -> FloatArray:
     """Return values (n, *shape) as a C-contiguous array (n, k), one column a component; copied only where needed."""
     array = np.asarray(values, dtype=np.float64)
-    rows = len(array)
-    return np.ascontiguousarray(array.reshape(rows, -1) if array.size or not rows else array.reshape(rows, 0))
+    return np.ascontiguousarray(array.reshape(len(array), size_of(array.shape[1:])))
 
 
 def size_of(shape: Shape) -> int:

@@ -11,16 +11,18 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import SimpleNamespace
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from mpipic import __version__
 from mpipic.errors import NotConverged, Refused
-from mpipic.runtime import ANNOUNCED, launched_rank, start
+from mpipic.runtime import launched, start
 
 if TYPE_CHECKING:
+    from mpi4py import MPI
+
+    from mpipic.console import Rank
     from mpipic.scene.records import Scene
 
 app = typer.Typer(
@@ -59,7 +61,7 @@ def before_the_verb(
     """Distributed particle-in-cell solver with null-space filters."""
 
 
-def _load(path: Path | None, overrides: list[str] | None, comm: Any, preset: str | None = None) -> Scene:
+def _load(path: Path | None, overrides: list[str] | None, comm: MPI.Comm, preset: str | None = None) -> Scene:
     """Read the scene on rank 0 and give it, or the refusal, to all."""
     from mpipic.scene.records import Scene, SceneError
 
@@ -77,20 +79,25 @@ def _load(path: Path | None, overrides: list[str] | None, comm: Any, preset: str
     return scene
 
 
-def _check_particle_file(scene: Scene, comm: Any) -> None:
+def _check_particle_file(scene: Scene, comm: MPI.Comm) -> None:
     """Raise SceneError on all ranks for a particle file that a run would refuse."""
     if scene.particles.layout != "file":
         return
     from mpipic.io.particle_file import check_particle_file
+    from mpipic.run.build import physics_of
     from mpipic.scene.records import Problem, SceneError
 
-    mine = check_particle_file(scene.particles.path, scene.dim, scene.grid.length) if comm.rank == 0 else None
-    problems = comm.bcast(mine)
+    problems: list[str] = []
+    if comm.rank == 0:
+        fields = physics_of(scene).fields(scene.dim)
+        problems = check_particle_file(scene.particles.path, scene.grid.length, fields)
+    problems = comm.bcast(problems)
     if problems:
         raise SceneError([Problem("particles.path", None, text) for text in problems])
 
 
-def _refuse(text: str, comm: Any, code: int = BAD_INPUT) -> typer.Exit:
+def _refuse(text: str, comm: Rank, code: int = BAD_INPUT) -> typer.Exit:
+    """Say what is wrong, once, and return what ends the verb."""
     from mpipic.console import Console
 
     console = Console(comm)
@@ -100,10 +107,10 @@ def _refuse(text: str, comm: Any, code: int = BAD_INPUT) -> typer.Exit:
 
 
 @contextmanager
-def _stating(comm: Any) -> Iterator[None]:
+def _stating(comm: Rank) -> Iterator[None]:
     """Leave a verb that cannot go on with the error's own words, said once, and its exit code; no traceback.
 
-    For errors that all ranks raise together; one rank's alone would leave the others waiting.
+    All ranks must raise the error together; one rank's alone would leave the others waiting.
     """
     try:
         yield
@@ -218,9 +225,8 @@ def study(
     ] = False,
 ) -> None:
     """Sweep settings of a scene: error against run time in a table, a picture and a page. Goes on where it stopped."""
-    ranks = next((int(os.environ[name]) for name in ANNOUNCED if os.environ.get(name, "").isdigit()), 1)
-    here = SimpleNamespace(rank=launched_rank(), size=ranks)
-    if ranks > 1:
+    here = launched()
+    if here.size > 1:
         raise _refuse("a study runs on one process and starts the ranks of its points itself: leave out mpiexec", here)
     from mpipic.console import Console
     from mpipic.study import verb
@@ -317,8 +323,8 @@ def bench(
 
 
 def main() -> None:
-    """Entry point of `mpipic` and `python -m mpipic`. Help and usage errors appear once, not once a rank."""
-    first = launched_rank() == 0
+    """Run the command line, as `mpipic` and `python -m mpipic`. Help and usage errors appear once, not once a rank."""
+    first = launched().rank == 0
     if not first:
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115  for the life of the process
     try:

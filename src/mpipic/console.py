@@ -10,11 +10,66 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from types import TracebackType
-from typing import Any
+from typing import IO, TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    from rich.console import Console as RichConsole
 
 TERMINAL_SECONDS = 0.1
 LOG_SECONDS = 10.0
 LOG_WIDTH = 120
+
+
+class Rank(Protocol):
+    """Which process of how many speaks: an mpi4py communicator, or what stands for one."""
+
+    @property
+    def rank(self) -> int:
+        """Number of this process."""
+        ...
+
+
+class ErrorNorms(Protocol):
+    """Three norms of an error."""
+
+    @property
+    def l1(self) -> float:
+        """Mean of |e|."""
+        ...
+
+    @property
+    def l2(self) -> float:
+        """Root mean square of e."""
+        ...
+
+    @property
+    def linf(self) -> float:
+        """Largest |e|."""
+        ...
+
+
+class Report(Protocol):
+    """Errors at one step, by name of the field, and shares of what no node sees, None where unknown."""
+
+    @property
+    def step(self) -> int:
+        """Number of the step."""
+        ...
+
+    @property
+    def time(self) -> float:
+        """Time reached."""
+        ...
+
+    @property
+    def errors(self) -> Mapping[str, ErrorNorms]:
+        """Name of a field to norms of its error."""
+        ...
+
+    @property
+    def shares(self) -> Mapping[str, float | None]:
+        """Name of a share to number."""
+        ...
 
 
 class Progress:
@@ -32,12 +87,12 @@ class Progress:
         """Show time, largest |density| and particles times steps per second after `step`; call it every step."""
 
 
-class _Line(Progress):
+class ProgressLines(Progress):
     """Plain lines: every `LOG_SECONDS`, and at the end the last state."""
 
     interval = LOG_SECONDS
 
-    def __init__(self, total_steps: int, out: Any) -> None:
+    def __init__(self, total_steps: int, out: RichConsole) -> None:
         self.total = total_steps
         self.out = out
         self._begin = time.monotonic()
@@ -46,6 +101,7 @@ class _Line(Progress):
         self._shown = -1
 
     def update(self, step: int, time: float, max_density: float, particle_steps_per_second: float) -> None:
+        """Keep the state, and print it when its time has come."""
         self._state = (step, time, max_density, particle_steps_per_second)
         if _now() >= self._next:
             self._show()
@@ -62,7 +118,7 @@ class _Line(Progress):
         self._draw()
 
     def _draw(self) -> None:
-        _plain(self.out, f"step {self._state[0]}/{self.total}  {self._numbers()}  {self._left()}")
+        _print(self.out, f"step {self._state[0]}/{self.total}  {self._numbers()}  {self._left()}")
 
     def _numbers(self) -> str:
         _, at, density, rate = self._state
@@ -75,7 +131,7 @@ class _Line(Progress):
         return f"{duration(spent / step * (self.total - step))} left"
 
 
-class _Bar(_Line):
+class ProgressBar(ProgressLines):
     """A live bar on a terminal, redrawn at most every `TERMINAL_SECONDS` and by no other thread."""
 
     interval = TERMINAL_SECONDS
@@ -107,7 +163,7 @@ class Console:
 
     Parameters
     ----------
-    comm : mpi4py communicator; only its rank 0 prints
+    comm : only its rank 0 prints
     quiet : print warnings and failures only
     out, err : where to print, standard output and standard error by default
 
@@ -116,33 +172,34 @@ class Console:
     Every method is local, does nothing on ranks other than 0, and takes text as it is, without markup.
     """
 
-    def __init__(self, comm: Any, quiet: bool = False, out: Any = None, err: Any = None) -> None:
-        self._out: Any = None
-        self._err: Any = None
+    def __init__(self, comm: Rank, quiet: bool = False, out: IO[str] | None = None, err: IO[str] | None = None) -> None:
+        self._out: RichConsole | None = None
+        self._err: RichConsole | None = None
         self._quiet = quiet
         if comm.rank == 0:
             self._out, self._err = _rich_console(out, stderr=False), _rich_console(err, stderr=True)
 
     @property
-    def _speaks(self) -> bool:
-        return self._out is not None and not self._quiet
+    def _loud(self) -> RichConsole | None:
+        """Where what is not urgent goes; None for nowhere."""
+        return None if self._quiet else self._out
 
     def banner(self, lines: Sequence[tuple[str, str]]) -> None:
         """Print what is about to run: one line for each (name, value), values in one column."""
-        if self._speaks:
+        if self._loud:
             width = max((len(name) for name, _ in lines), default=0)
             for name, value in lines:
-                _plain(self._out, f"{name:<{width}}  {value}")
+                _print(self._loud, f"{name:<{width}}  {value}")
 
     def progress(self, total_steps: int) -> Progress:
-        """A context whose `update` is called every step; costs less than 2 µs when there is nothing to print."""
-        if not self._speaks:
+        """Return a context whose `update` is called every step; costs less than 2 µs when nothing is printed."""
+        if not self._loud:
             return Progress()
-        return (_Bar if self._out.is_terminal else _Line)(total_steps, self._out)
+        return (ProgressBar if self._loud.is_terminal else ProgressLines)(total_steps, self._loud)
 
-    def error_table(self, reports: Iterable[Any]) -> None:
-        """Print error reports: two lines each, density and velocity, with l1, l2 and linf; None prints as a dash."""
-        rows = []
+    def error_table(self, reports: Iterable[Report]) -> None:
+        """Print error reports: a line a field, with l1, l2 and linf; a share that is None prints as a dash."""
+        rows: list[tuple[str, ...]] = []
         for report in reports:
             shares = [_number(share) for share in report.shares.values()] or ["-"]
             first = (str(report.step), f"{report.time:.6g}")
@@ -163,22 +220,22 @@ class Console:
 
     def message(self, text: str) -> None:
         """Print a line."""
-        if self._speaks:
-            _plain(self._out, text)
+        if self._loud:
+            _print(self._loud, text)
 
     def warning(self, text: str) -> None:
         """Print a warning to standard error, also when quiet."""
         if self._err is not None:
-            _plain(self._err, f"warning: {text}", "yellow")
+            _print(self._err, f"warning: {text}", "yellow")
 
     def fail(self, text: str) -> None:
         """Print an error to standard error, also when quiet."""
         if self._err is not None:
-            _plain(self._err, f"error: {text}", "bold red")
+            _print(self._err, f"error: {text}", "bold red")
 
     def table(self, title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         """Print a table of text cells; numbers to the right, words to the left."""
-        if not self._speaks:
+        if not self._loud:
             return
         from rich.box import SIMPLE_HEAD
         from rich.table import Table
@@ -190,13 +247,13 @@ class Console:
             table.add_column(name, justify="left" if name in words else "right", no_wrap=True)
         for row in rows:
             table.add_row(*(Text(cell) for cell in row))
-        with _reader_may_leave(self._out):
-            self._out.print(table)
-            self._out.file.flush()
+        with _reader_may_leave(self._loud):
+            self._loud.print(table)
+            self._loud.file.flush()
 
 
 def duration(seconds: float) -> str:
-    """A time span in words: 3.2 s, 4:05, 2:03:09."""
+    """Return a time span in words: 3.2 s, 4:05, 2:03:09."""
     if not 0.0 <= seconds < 1e9:
         return "?"
     if seconds < 60.0:
@@ -207,7 +264,7 @@ def duration(seconds: float) -> str:
 
 
 def _launcher_writes_elsewhere(stderr: bool) -> bool:
-    """Whether a launcher stands between this process and the user, and its own output is no terminal.
+    """Return whether a launcher stands between this process and the user, and its own output is no terminal.
 
     Open MPI gives rank 0 a pseudo terminal whatever its own output is; what counts is where the launcher writes.
     """
@@ -220,7 +277,7 @@ def _launcher_writes_elsewhere(stderr: bool) -> bool:
     return not target.startswith(("/dev/pts/", "/dev/tty"))
 
 
-def _rich_console(file: Any, stderr: bool) -> Any:
+def _rich_console(file: IO[str] | None, stderr: bool) -> RichConsole:
     from rich.console import Console
 
     class Rich(Console):
@@ -229,12 +286,13 @@ def _rich_console(file: Any, stderr: bool) -> Any:
 
     console = Rich(file=file, stderr=stderr, highlight=False)
     if not console.is_terminal or (file is None and _launcher_writes_elsewhere(stderr)):
-        plain: dict[str, Any] = {"width": LOG_WIDTH, "color_system": None, "force_terminal": False}
-        console = Rich(file=file, stderr=stderr, highlight=False, **plain)
+        console = Rich(
+            file=file, stderr=stderr, highlight=False, width=LOG_WIDTH, color_system=None, force_terminal=False
+        )
     return console
 
 
-def _plain(console: Any, text: str, style: str | None = None) -> None:
+def _print(console: RichConsole, text: str, style: str | None = None) -> None:
     """Print text as it is; long lines are left to the terminal."""
     with _reader_may_leave(console):
         console.print(text, markup=False, highlight=False, soft_wrap=True, emoji=False, style=style)
@@ -242,15 +300,15 @@ def _plain(console: Any, text: str, style: str | None = None) -> None:
 
 
 @contextmanager
-def _reader_may_leave(console: Any) -> Iterator[None]:
-    """A run outlives whoever reads its output: after a broken pipe, what is printed goes nowhere."""
+def _reader_may_leave(console: RichConsole) -> Iterator[None]:
+    """Let a run outlive whoever reads its output: after a broken pipe, what is printed goes nowhere."""
     try:
         yield
     except BrokenPipeError:
         _print_nowhere(console.file)
 
 
-def _print_nowhere(file: Any) -> None:
+def _print_nowhere(file: IO[str]) -> None:
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, file.fileno())
     os.close(nowhere)
@@ -260,7 +318,7 @@ def _now() -> float:
     return time.monotonic()
 
 
-def _norms(norms: Any) -> tuple[str, str, str]:
+def _norms(norms: ErrorNorms) -> tuple[str, str, str]:
     return _number(norms.l1), _number(norms.l2), _number(norms.linf)
 
 

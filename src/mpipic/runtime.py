@@ -7,8 +7,12 @@ import re
 import signal
 import sys
 import traceback
+from dataclasses import dataclass
 from types import FrameType, TracebackType
-from typing import Any
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 RANKS = ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "MV2_COMM_WORLD_RANK")
@@ -24,7 +28,7 @@ FOREIGN = re.compile(
 
 
 def settle() -> None:
-    """Settings that libraries read when they are imported: one thread a rank, unless told otherwise; signals are ours.
+    """Set what libraries read when they are imported: one thread a rank, unless told otherwise; signals are ours.
 
     Call before NumPy is imported.
     """
@@ -36,12 +40,24 @@ def settle() -> None:
     os.environ["PETSC_OPTIONS"] = f"{os.environ.get('PETSC_OPTIONS', '')} -no_signal_handler".strip()
 
 
-def launched_rank() -> int:
-    """This process's rank as its launcher says, 0 without one; needs no MPI."""
-    return next((int(os.environ[name]) for name in RANKS if os.environ.get(name, "").isdigit()), 0)
+@dataclass(frozen=True)
+class Launched:
+    """What a launcher says of this process: its rank, of how many."""
+
+    rank: int
+    size: int
 
 
-def start() -> Any:
+def launched() -> Launched:
+    """Return this process's rank and the number of ranks as its launcher says, 0 of 1 without one; needs no MPI."""
+    rank, size = (
+        next((int(os.environ[name]) for name in names if os.environ.get(name, "").isdigit()), default)
+        for names, default in ((RANKS, 0), (ANNOUNCED, 1))
+    )
+    return Launched(rank, size)
+
+
+def start() -> MPI.Intracomm:
     """Settle, and return COMM_WORLD after checking that it is what the launcher started. Call before NumPy is imported.
 
     Every later exception ends all ranks.
@@ -57,7 +73,7 @@ def start() -> Any:
         announced = os.environ.get(name, "")
         if announced.isdigit() and int(announced) != comm.size:
             library = MPI.Get_library_version().splitlines()[0].strip("\0 ")
-            if launched_rank() == 0:
+            if launched().rank == 0:
                 sys.stderr.write(
                     f"error: the launcher started {announced} processes ({name}), but MPI sees {comm.size}: "
                     f"this mpiexec does not belong to the MPI that mpi4py uses ({library})\n"
@@ -69,7 +85,7 @@ def start() -> Any:
 
 
 def _abort_all(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """Without this the other ranks would wait for ever in their next message."""
+    """End all ranks with this one's traceback; the others would wait for ever in their next message."""
     from mpi4py import MPI
 
     lines = "".join(traceback.format_exception(kind, error, trace))
@@ -86,7 +102,7 @@ def without_launcher(said: str) -> str:
 
 
 class StopRequest:
-    """True once Ctrl-C, SIGTERM or SIGUSR1 has come. A second Ctrl-C acts as if there were none of this.
+    """Becomes true once Ctrl-C, SIGTERM or SIGUSR1 has come. A second Ctrl-C acts as if there were none of this.
 
     A launcher may follow one signal by another, so only Ctrl-C counts as impatience. SIGUSR1 is what mpiexec passes on
     to its ranks without setting out to end them.
@@ -98,7 +114,7 @@ class StopRequest:
         self._before = {number: signal.signal(number, self._ask) for number in map(_number, STOP_SIGNALS)}
 
     def __call__(self) -> bool:
-        """Whether to stop."""
+        """Return whether to stop."""
         return self._stop
 
     def _ask(self, number: int, frame: FrameType | None) -> None:

@@ -183,14 +183,15 @@ def case_sample(folder: Path) -> None:
 
 def case_read(folder: Path) -> None:
     """Rows are split without gaps; what is wrong on any rank is said on all, with the count of the whole file."""
-    mine = read_particle_file(folder / "good.h5", 1, [1.0], COMM)
-    assert set(mine) == {"ids", "position", "density"}
-    assert np.array_equal(mine["density"], mine["ids"]) and mine["density"].dtype == np.float64
-    assert np.array_equal(np.concatenate(COMM.allgather(mine["ids"])), np.arange(7))
-    assert abs(len(mine["ids"]) - 7 / COMM.size) < 1
+    fields = {"density": (), "velocity": (1,)}
+    mine = read_particle_file(folder / "good.h5", [1.0], fields, COMM)
+    assert set(mine.fields) == {"density"}
+    assert np.array_equal(mine.fields["density"], mine.ids) and mine.fields["density"].dtype == np.float64
+    assert np.array_equal(np.concatenate(COMM.allgather(mine.ids)), np.arange(7))
+    assert abs(len(mine.ids) - 7 / COMM.size) < 1
     for name, problem in (("bad.h5", "in 2 rows, first row 1: (1.5)"), ("none.h5", "no such file")):
         try:
-            read_particle_file(folder / name, 1, [1.0], COMM)
+            read_particle_file(folder / name, [1.0], fields, COMM)
             said = []
         except ParticleFileError as error:
             said = error.problems

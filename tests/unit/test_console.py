@@ -49,7 +49,9 @@ def norms(value: float) -> SimpleNamespace:
     return SimpleNamespace(l1=value, l2=2 * value, linf=3 * value)
 
 
-REPORT = SimpleNamespace(step=1000, time=0.5, density=norms(1e-3), velocity=norms(2e-3), null_space_fraction=0.25)
+REPORT = SimpleNamespace(
+    step=1000, time=0.5, errors={"density": norms(1e-3), "velocity": norms(2e-3)}, shares={"null_space_fraction": 0.25}
+)
 
 
 def say_everything(voice: Console) -> None:
@@ -95,7 +97,8 @@ def test_an_unknown_share_is_a_dash_and_no_reports_are_no_table() -> None:
     voice = Console(ROOT, out=out)
     voice.error_table([])
     assert out.getvalue() == ""
-    voice.error_table([SimpleNamespace(**{**vars(REPORT), "null_space_fraction": None, "time": float("nan")})])
+    unknown = {"shares": {"null_space_fraction": None}, "time": float("nan")}
+    voice.error_table([SimpleNamespace(**{**vars(REPORT), **unknown})])
     assert " -" in out.getvalue() and "nan" in out.getvalue()
 
 
@@ -164,8 +167,8 @@ def test_a_terminal_gets_a_bar_redrawn_at_most_ten_times_a_second(clock: Clock) 
 
 @pytest.mark.parametrize("stream", [io.StringIO, Terminal])
 def test_an_update_with_nothing_to_print_costs_less_than_two_microseconds(stream: Any, monkeypatch: Any) -> None:
-    monkeypatch.setattr(console._Line, "interval", 1e6)
-    monkeypatch.setattr(console._Bar, "interval", 1e6)
+    monkeypatch.setattr(console.ProgressLines, "interval", 1e6)
+    monkeypatch.setattr(console.ProgressBar, "interval", 1e6)
     with Console(ROOT, out=stream()).progress(10**9) as progress:
         best = float("inf")
         for _ in range(20):

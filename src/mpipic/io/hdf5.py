@@ -2,29 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
-from mpipic.io.openpmd import Tree
+from mpipic.io.openpmd import Numbers, Tree
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
+
+DataSets = dict[str, h5py.h5d.DatasetID]
+"""Path to data set, on ranks that write."""
 
 
 def has_mpi() -> bool:
-    """Whether this h5py can open one file on all ranks."""
+    """Return whether this h5py can open one file on all ranks."""
     return bool(h5py.get_config().mpi)
 
 
-def create_file(path: Path, comm: Any = None) -> Any:
+def create_file(path: Path, comm: MPI.Comm | None = None) -> h5py.File:
     """Create a file, replacing an old one: on all ranks of `comm` together when given, else on this rank alone."""
     options = {} if comm is None else {"driver": "mpio", "comm": comm}
     return h5py.File(path, "w", **options)
 
 
-def create_tree(file: Any, tree: Tree) -> tuple[Any, dict[str, Any]]:
+def create_tree(file: h5py.File, tree: Tree) -> tuple[h5py.Group, DataSets]:
     """Create the groups, data sets and attributes of a snapshot in a group that has no name yet.
 
     Returns the group, to be linked into the file when its data are complete, and the data sets by path. Space is taken
@@ -35,7 +40,7 @@ def create_tree(file: Any, tree: Tree) -> tuple[Any, dict[str, Any]]:
     options.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
     root = file.create_group(None)
     blocks = {block.path: block for block in tree.blocks}
-    datasets: dict[str, Any] = {}
+    datasets: DataSets = {}
     for path, attributes in tree.attributes.items():
         if path in blocks:
             parent, _, name = path.rpartition("/")
@@ -50,14 +55,14 @@ def create_tree(file: Any, tree: Tree) -> tuple[Any, dict[str, Any]]:
     return root, datasets
 
 
-def release(group: Any, datasets: Mapping[str, Any]) -> None:
+def release(group: h5py.Group | None, datasets: DataSets) -> None:
     """Close what `create_tree` returned, now: HDF5 deadlocks when ranks leave it to the garbage collector's order."""
     for identifier in [*datasets.values(), *([] if group is None else [group.id])]:
         while identifier.valid:
             h5py.h5i.dec_ref(identifier)
 
 
-def write_block(dataset: Any, start: Sequence[int], data: NDArray[Any], collective: bool) -> None:
+def write_block(dataset: h5py.h5d.DatasetID, start: Sequence[int], data: Numbers, collective: bool) -> None:
     """Write `data` at `start` of a data set; with `collective`, all ranks take part, those with empty `data` too."""
     transfer = h5py.h5p.create(h5py.h5p.DATASET_XFER)
     if collective:

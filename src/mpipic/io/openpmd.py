@@ -14,12 +14,14 @@ import getpass
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from typing import Any
+from types import EllipsisType
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mpipic import __version__
+from mpipic.arrays import FloatArray, ParticleArrays
 
 AXES = ("x", "y", "z")
 SPECIES = "particles/gas"
@@ -40,7 +42,32 @@ DIMENSIONLESS = (0.0,) * 7
 # HDF5 keeps an attribute inside the object's header, which holds 64 kB.
 LONGEST_COMMENT = 32_000
 
-Attributes = dict[str, Any]
+Numbers = NDArray[np.generic]
+Attributes = dict[str, np.generic | Numbers]
+
+
+class Blocks(Protocol):
+    """A grid of nodes, of which this rank owns a block; entries are for the axes that there are, x first."""
+
+    @property
+    def cells(self) -> Sequence[int]:
+        """Cells of the whole grid."""
+        ...
+
+    @property
+    def length(self) -> Sequence[float]:
+        """Size of the box."""
+        ...
+
+    @property
+    def owned_start(self) -> Sequence[int]:
+        """First own node."""
+        ...
+
+    @property
+    def owned_shape(self) -> Sequence[int]:
+        """Number of own nodes."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -50,7 +77,7 @@ class Block:
     path: str
     shape: tuple[int, ...]
     start: tuple[int, ...]
-    data: NDArray[Any]
+    data: Numbers
 
 
 @dataclass
@@ -70,12 +97,12 @@ class Tree:
         self.attributes[block.path] = attributes
 
     def signature(self) -> list[tuple[str, tuple[int, ...], str]]:
-        """Path, global shape and type of every data set: what must be equal on all ranks before they write together."""
+        """Return path, global shape and type of every data set: all ranks must agree on them before they write."""
         return [(block.path, block.shape, block.data.dtype.str) for block in self.blocks]
 
 
 def root_attributes(name: str = "", comment: str = "") -> Attributes:
-    """Attributes of the file itself. Holds the date and the user's name: let one rank decide.
+    """Return the attributes of the file itself. They hold the date and the user's name: let one rank decide.
 
     Parameters
     ----------
@@ -102,17 +129,24 @@ def root_attributes(name: str = "", comment: str = "") -> Attributes:
 
 
 def snapshot(
-    time: float, dt: float, particles: Any, counts: Sequence[int], rank: int, grid: Any, nodal_fields: Mapping[str, Any]
+    time: float,
+    dt: float,
+    particles: ParticleArrays,
+    counts: Sequence[int],
+    rank: int,
+    grid: Blocks,
+    nodal_fields: Mapping[str, FloatArray],
 ) -> Tree:
     """Describe one snapshot as this rank sees it. Local; views of the particle arrays, no copies.
 
     Parameters
     ----------
     time, dt : time of the snapshot and time step
-    particles : has `ids` (n_local,), `position` (n_local, d) and `fields`, name -> (n_local,) or (n_local, k)
+    particles : of this rank
     counts : particles of every rank; this rank's rows go after those of the ranks before it
-    grid : has `cells`, `length`, `owned_start`, `owned_shape`
-    nodal_fields : name -> owned nodes of this rank, `owned_shape` or `owned_shape` + (k,), axes in the order x, y, z
+    rank : this one
+    grid : the block of nodes of this rank
+    nodal_fields : name to values on owned nodes, `owned_shape` + shape, axes in the order x, y, z
 
     Raises
     ------
@@ -135,7 +169,7 @@ def snapshot(
 
 
 def record_attributes(name: str) -> Attributes:
-    """What openPMD asks of every record: the powers of its unit, and its time relative to the snapshot's."""
+    """Return what openPMD asks of every record: the powers of its unit, and its time relative to the snapshot's."""
     return {
         "unitDimension": np.array(DIMENSIONS.get(name, DIMENSIONLESS), dtype=np.float64),
         "timeOffset": np.float64(0.0),
@@ -143,7 +177,7 @@ def record_attributes(name: str) -> Attributes:
 
 
 def text(value: str) -> np.bytes_:
-    """A fixed-length HDF5 string; other characters than ASCII are kept as UTF-8."""
+    """Return a fixed-length HDF5 string; other characters than ASCII are kept as UTF-8."""
     return np.bytes_(value.encode())
 
 
@@ -158,31 +192,31 @@ def _component() -> Attributes:
     return {"unitSI": np.float64(1.0)}
 
 
-def _components(width: int, dim: int) -> Sequence[str]:
-    """Names of the components of a record: axes for a vector of the space, numbers otherwise."""
-    return AXES[:dim] if width == dim else [str(k) for k in range(width)]
+def _component_name(index: tuple[int, ...], shape: tuple[int, ...], dim: int) -> str:
+    """Return the name of a component: axes for vectors and tensors of the space, x or xy, numbers otherwise."""
+    of_space = all(size == dim for size in shape)
+    return "".join(AXES[k] for k in index) if of_space else "_".join(str(k) for k in index)
 
 
-def _split(values: NDArray[Any], rows: int, dim: int) -> Iterator[tuple[str, NDArray[Any]]]:
-    """(suffix of the path, values) of each component, `rows` being the number of axes of a scalar; "" for a scalar."""
-    if values.ndim == rows:
-        yield "", values
-        return
-    for k, component in enumerate(_components(values.shape[rows], dim)):
-        yield f"/{component}", values[..., k]
+def _split(values: Numbers, rows: int, dim: int) -> Iterator[tuple[str, Numbers]]:
+    """Yield (suffix of the path, values) of each component, `rows` the number of axes of a scalar; "" for a scalar."""
+    shape = values.shape[rows:]
+    for index in np.ndindex(shape):
+        component: tuple[EllipsisType | int, ...] = (..., *index)
+        yield f"/{_component_name(index, shape, dim)}" if shape else "", values[component]
 
 
-def _check(name: str, values: NDArray[Any], shape: tuple[int, ...]) -> None:
-    if values.shape[: len(shape)] != shape or values.ndim > len(shape) + 1:
-        raise ValueError(f"field {name!r} has shape {values.shape}, expected {shape} or {shape} + (k,)")
+def _check(name: str, values: Numbers, shape: tuple[int, ...]) -> None:
+    if values.shape[: len(shape)] != shape:
+        raise ValueError(f"field {name!r} has shape {values.shape}, expected {shape} and that of a value")
     if values.dtype.kind not in "fiu":
         raise ValueError(f"field {name!r} has type {values.dtype}, expected real numbers")
 
 
-def _add_particles(tree: Tree, particles: Any, counts: Sequence[int], rank: int) -> None:
+def _add_particles(tree: Tree, particles: ParticleArrays, counts: Sequence[int], rank: int) -> None:
     total, start, n = sum(counts), sum(counts[:rank]), counts[rank]
     dim = particles.position.shape[1]
-    records = {"id": particles.ids, "position": particles.position, **particles.fields}
+    records: dict[str, Numbers] = {"id": particles.ids, "position": particles.position, **particles.fields}
     tree.attributes[SPECIES] = {}
     for name, array in records.items():
         values = np.asarray(array)
@@ -196,17 +230,17 @@ def _add_particles(tree: Tree, particles: Any, counts: Sequence[int], rank: int)
     offset = f"{SPECIES}/positionOffset"
     tree.attributes[offset] = record_attributes("positionOffset")
     for axis in AXES[:dim]:
-        constant = {"value": np.float64(0.0), "shape": np.array([total], dtype=np.uint64)}
+        constant: Attributes = {"value": np.float64(0.0), "shape": np.array([total], dtype=np.uint64)}
         tree.attributes[f"{offset}/{axis}"] = constant | _component()
 
 
-def _add_patches(tree: Tree, particles: Any, counts: Sequence[int], rank: int) -> None:
-    """One patch per rank: its rows, and a box [offset, offset + extent) that holds its particles."""
+def _add_patches(tree: Tree, particles: ParticleArrays, counts: Sequence[int], rank: int) -> None:
+    """Add one patch per rank: its rows, and a box [offset, offset + extent) that holds its particles."""
     dim, ranks = particles.position.shape[1], (len(counts),)
     patches = f"{SPECIES}/particlePatches"
     tree.attributes[patches] = {}
 
-    def add(path: str, value: Any, dtype: type) -> None:
+    def add(path: str, value: float, dtype: type[np.generic]) -> None:
         tree.add(Block(f"{patches}/{path}", ranks, (rank,), np.array([value], dtype=dtype)), _component())
 
     add("numParticles", counts[rank], np.uint64)
@@ -218,8 +252,8 @@ def _add_patches(tree: Tree, particles: Any, counts: Sequence[int], rank: int) -
             add(f"{name}/{AXES[axis]}", corner[axis], np.float64)
 
 
-def smallest_box(position: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Corner and size of the smallest half-open box around the points; zeros when there are none."""
+def smallest_box(position: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return corner and size of the smallest half-open box around the points; zeros when there are none."""
     if len(position) == 0:
         zero = np.zeros(position.shape[1])
         return zero, zero
@@ -229,13 +263,14 @@ def smallest_box(position: NDArray[np.float64]) -> tuple[NDArray[np.float64], ND
         return low, (high - low) + 2 * np.spacing(np.maximum(abs(low), abs(high)))
 
 
-def _add_mesh(tree: Tree, name: str, values: NDArray[Any], grid: Any) -> None:
-    """A nodal field on the whole grid; nodes sit on the corners of the cells, node 0 at the origin."""
+def _add_mesh(tree: Tree, name: str, values: Numbers, grid: Blocks) -> None:
+    """Add a nodal field on the whole grid; nodes sit on the corners of the cells, node 0 at the origin."""
     dim = len(grid.cells)
     shape = tuple(int(m) for m in grid.cells)
     start = tuple(int(i) for i in grid.owned_start)
     _check(name, values, tuple(int(m) for m in grid.owned_shape))
-    mesh = record_attributes(name) | {
+    mesh: Attributes = {
+        **record_attributes(name),
         "geometry": text("cartesian"),
         "dataOrder": text("C"),
         "axisLabels": np.array([axis.encode() for axis in AXES[:dim]]),

@@ -9,13 +9,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+import h5py
 import numpy as np
 
+from mpipic.arrays import FloatArray, ParticleArrays
 from mpipic.errors import OutputError
 from mpipic.files import sync
 from mpipic.io import hdf5, openpmd
+from mpipic.io.openpmd import Blocks
 from mpipic.io.run_directory import PART, SceneText
 
 if TYPE_CHECKING:
@@ -37,7 +40,7 @@ class ParticleSeries:
     ----------
     path : final name, such as particles.h5; an older file there is replaced on closing
     comm : mpi4py communicator; a duplicate is used
-    scene : has `name` and `to_toml()`, kept as the file's comment; may be None
+    scene : kept as the file's comment where given
 
     Notes
     -----
@@ -51,28 +54,33 @@ class ParticleSeries:
         self._comm = comm.Dup()
         self._steps: set[int] = set()
         self.collective = self._comm.size > 1 and all(self._comm.allgather(hdf5.has_mpi()))
-        self._holds = self.collective or self._comm.rank == 0
         comment = (scene.name, scene.to_toml()) if scene is not None else ()
         attributes = self._comm.bcast(openpmd.root_attributes(*comment) if self._comm.rank == 0 else None)
-        self._file: Any = None
+        self._file: h5py.File | None = None
         with self._together(f"{self.part} cannot be created"):
-            if self._holds:
+            if self.collective or self._comm.rank == 0:
                 self._file = hdf5.create_file(self.part, self._comm if self.collective else None)
                 self._file.attrs.update(attributes)
                 self._file.create_group("data")
         self._open = True
 
     def write(
-        self, step: int, time: float, dt: float, particles: Any, grid: Any, nodal_fields: Mapping[str, Any]
+        self,
+        step: int,
+        time: float,
+        dt: float,
+        particles: ParticleArrays,
+        grid: Blocks,
+        nodal_fields: Mapping[str, FloatArray],
     ) -> None:
         """Add the snapshot of one step. Collective; copies one component of one field at a time.
 
         Parameters
         ----------
         step, time, dt : number and time of the step, step size
-        particles : has `ids` (n_local,), `position` (n_local, d), `fields`, name -> (n_local,) or (n_local, k)
-        grid : has `cells`, `length`, `owned_start`, `owned_shape`
-        nodal_fields : name -> owned nodes, `owned_shape` or `owned_shape` + (k,)
+        particles : of this rank
+        grid : the block of nodes of this rank
+        nodal_fields : name to values on owned nodes, `owned_shape` + shape
 
         Raises
         ------
@@ -89,14 +97,14 @@ class ParticleSeries:
             tree = openpmd.snapshot(time, dt, particles, counts, self._comm.rank, grid, nodal_fields)
         self._compare(step, tree)
         with self._together(f"{self.part}: snapshot of step {step} failed"):
-            group, datasets = hdf5.create_tree(self._file, tree) if self._holds else (None, {})
+            group, datasets = hdf5.create_tree(self._file, tree) if self._file else (None, {})
         try:
             self._fill(step, tree, datasets)
         except OutputError:
             hdf5.release(group, datasets)
             raise
         with self._together(f"{self.part}: snapshot of step {step} failed"):
-            if self._holds:
+            if self._file:
                 self._file["data"][str(step)] = group
                 hdf5.release(group, datasets)
                 self._file.flush()
@@ -108,7 +116,7 @@ class ParticleSeries:
             return
         self._open = False
         with self._together(f"{self.part} cannot be closed"):
-            if self._holds:
+            if self._file:
                 self._file.close()
         with self._together(f"{self.path} cannot be put in place"):
             if self._comm.rank == 0 and self._steps:
@@ -128,7 +136,7 @@ class ParticleSeries:
             self.close()
 
     def _all_arrive(self) -> bool:
-        """Whether all ranks left the `with` block, as after an interrupt of them all; waits `ARRIVAL_SECONDS`."""
+        """Return whether all ranks left the `with` block, as after an interrupt of all; wait `ARRIVAL_SECONDS`."""
         request = self._comm.Ibarrier()
         deadline = clock.monotonic() + ARRIVAL_SECONDS
         while not request.Test():
@@ -158,7 +166,7 @@ class ParticleSeries:
                 different = [entry for entry in mine if entry not in expected]
                 raise ValueError(f"not the data sets of rank 0: {different or 'some are missing, or in another order'}")
 
-    def _fill(self, step: int, tree: openpmd.Tree, datasets: Mapping[str, Any]) -> None:
+    def _fill(self, step: int, tree: openpmd.Tree, datasets: hdf5.DataSets) -> None:
         with self._together(f"{self.part}: snapshot of step {step} failed"):
             problem: Exception | None = None
             for block in tree.blocks:
@@ -174,7 +182,7 @@ class ParticleSeries:
             if problem:
                 raise problem
 
-    def _pass_on(self, block: openpmd.Block, dataset: Any) -> None:
+    def _pass_on(self, block: openpmd.Block, dataset: h5py.h5d.DatasetID | None) -> None:
         """Rank 0 writes its own part, then the parts of the others as they come, in pieces along the first axis."""
         comm, problem = self._comm, None
         places = comm.gather((block.start, block.data.shape))
@@ -198,7 +206,7 @@ class ParticleSeries:
 
 
 def _pieces(shape: Sequence[int], itemsize: int) -> Iterator[slice]:
-    """Ranges of the first axis that hold at most `PIECE_BYTES`, at least one row each; none for an empty array."""
+    """Yield ranges of the first axis that hold at most `PIECE_BYTES` but a row each; none for an empty array."""
     row = itemsize * math.prod(shape[1:])
     rows = max(1, PIECE_BYTES // max(row, 1))
     for start in range(0, shape[0] if row else 0, rows):

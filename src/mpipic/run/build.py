@@ -121,11 +121,11 @@ def _read_particles(scene: Scene, grid: Grid, particles: Particles) -> tuple[Int
     from mpipic.io.particle_file import ParticleFileError, read_particle_file
 
     try:
-        data = read_particle_file(scene.particles.path, grid.dim, grid.length, grid.comm)
+        rows = read_particle_file(scene.particles.path, grid.length, particles.shapes, grid.comm)
     except ParticleFileError as error:
         raise SceneError([Problem("particles.path", None, text) for text in error.problems]) from None
-    known = {name: data[name] for name in particles.shapes if name in data and scene.initial.profile == "file"}
-    return data["ids"], grid.coordinate_of(data["position"]), particles.state_of(known, len(data["ids"]))
+    known = rows.fields if scene.initial.profile == "file" else {}
+    return rows.ids, grid.coordinate_of(rows.position), particles.state_of(known, len(rows.ids))
 
 
 def check_filter(scene: Scene, particles: int, comm: MPI.Comm, kind: str | None = None) -> None:
