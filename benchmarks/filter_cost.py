@@ -41,11 +41,11 @@ def step_seconds(kind: str, particles: int, layout: str, tolerance: float, warm:
     """Particles, and the median seconds of a step over at least 3."""
     run = simulation(kind, particles, layout, tolerance)
     for _ in range(warm):
-        run.formulation.step()
+        run.physics.step()
     times: list[float] = []
     while len(times) < 3 or (len(times) < 25 and sum(times) < LONGEST / 4):
         began = perf_counter()
-        run.formulation.step()
+        run.physics.step()
         times.append(perf_counter() - began)
     return run.total, statistics.median(times)
 

@@ -42,7 +42,7 @@ def error_of(scene):
     """Root mean square error of density after the last step of a run that must complete."""
     _, outcome, reports = run_scene(scene)
     assert outcome.status == "completed"
-    return reports.errors[scene.time.steps].density.l2
+    return reports.errors[scene.time.steps].errors["density"].l2
 
 
 def orders(errors, factor=2.0):

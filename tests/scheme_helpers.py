@@ -12,7 +12,7 @@ from covering_helpers import cover
 from mpipic.kernels import stencil
 from mpipic.mesh.grid import Grid
 from mpipic.mesh.halo import Halo
-from mpipic.run.build import build_step, build_sweep
+from mpipic.run.build import physics_of
 from mpipic.scene.records import Scene
 from serial_helpers import by_id, particles_of
 from spline_helpers import Scheme
@@ -77,18 +77,29 @@ class Run:
         self.scene = scene_of_scheme(scheme, cells, length, gas, dt)
         self.grid = Grid(cells, length, MPI.COMM_SELF, scheme.basis)
         particles = particles_of(self.grid, position, state[:, 0], state[:, 1:])
-        self.sweep = build_sweep(self.scene, self.grid, particles, lambda name: None)
-        self.formulation = build_step(self.scene, self.sweep)
+        self.particles = particles
+        self.physics = physics_of(self.scene)
+        self.physics.place(self.grid, particles, lambda name: None)
+
+    @property
+    def stepper(self):
+        """The step that the scene's physics has built."""
+        return self.physics.stepper
+
+    @property
+    def sweep(self):
+        """The particles, mapped, of a step on nodal arrays."""
+        return self.stepper.sweep
 
     def steps(self, count):
         for _ in range(count):
-            self.formulation.step()
+            self.physics.step()
         return self
 
     @property
     def result(self):
         """Position (n, d) and state (n, 1 + d) in the order of the ids."""
-        position, density, velocity = by_id(self.sweep.particles)
+        position, density, velocity = by_id(self.particles)
         return position, np.column_stack([density, velocity])
 
 

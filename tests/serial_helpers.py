@@ -9,9 +9,17 @@ from mpi4py import MPI
 
 from dense_helpers import GRIDS, Dense, pattern
 from mpipic.filters import FILTERS
-from mpipic.mapping.sweep import Sweep
+from mpipic.mapping.linear_sweep import LinearSweep
+from mpipic.mapping.mapping import Mapping
+from mpipic.mapping.mass import LumpedMass, Workspace
 from mpipic.mesh.grid import Grid
 from mpipic.particles.store import Particles
+from mpipic.physics.acoustics.damping import Damping
+from mpipic.physics.acoustics.gas import Gas
+from mpipic.physics.acoustics.integrators import Symplectic
+from mpipic.physics.acoustics.reference import MovingReference, ParticleScheme, ReferenceStep
+from mpipic.physics.acoustics.slopes import FilteredSlopes, UnfilteredSlopes
+from mpipic.physics.acoustics.step import AcousticStep, Scheme
 
 
 @cache
@@ -40,30 +48,27 @@ def particles_of(grid, position, density=None, velocity=None):
         state[:, 0] = density
     if velocity is not None:
         state[:, 1:] = velocity
-    particles = Particles(grid.h, {"density": 0, "velocity": grid.dim})
+    particles = Particles(grid.h, {"density": (), "velocity": (grid.dim,)})
     particles.append(grid.coordinate_of(position), state, np.arange(n))
     return particles
 
 
 def sweep_of(grid, position, density=None, velocity=None, displacement=None):
     particles = particles_of(grid, position, density, velocity)
-    return Sweep(grid, particles, displacement if displacement is not None else np.zeros(grid.dim))
+    return LinearSweep(grid, particles, displacement if displacement is not None else np.zeros(grid.dim))
 
 
 def by_id(particles):
     """Position, density and velocity in the order of the ids 0, 1, ..., n - 1, each of which there must be once."""
     order = np.argsort(particles.ids)
     assert np.array_equal(particles.ids[order], np.arange(particles.count))
-    return particles.position[order], particles.field("density")[order], particles.field("velocity")[order]
+    return particles.position[order], particles["density"][order], particles["velocity"][order]
 
 
 def gram_times(sweep, values):
     """G times the columns of values (nodes, k)."""
     grid = sweep.grid
-    columns = [
-        on_nodes(grid, sweep.complete(sweep.gram(ghosted(grid, v[:, None]), out=grid.zeros(1)))) for v in values.T
-    ]
-    return np.concatenate(columns, axis=1)
+    return on_nodes(grid, sweep.gram.apply(ghosted(grid, values)))
 
 
 def gram_matrix(sweep):
@@ -115,3 +120,34 @@ def allowed(kind, rounding):
 
 def values(n, *shape, seed=5):
     return np.random.default_rng(seed).standard_normal((n, *shape))
+
+
+# ---------------------------------------------------------------- Formulation 2
+
+
+def gas_of(rates, flow=()):
+    """A gas whose rates dt ρ₀ and dt c²/ρ₀ are these for dt = 1."""
+    return Gas(float(np.sqrt(rates[0] * rates[1])), tuple(flow), float(rates[0]))
+
+
+def euler_step(kind, sweep, rates, settings=None):
+    """The paper's step on nodal arrays, for a filter that has a form there, or none."""
+    work = Workspace(sweep.grid.local_nodes, again=True)
+    if kind == "none":
+        slopes = UnfilteredSlopes(sweep, work)
+    else:
+        filter_ = make(kind, sweep) if settings is None else FILTERS[kind](sweep, **settings)
+        slopes = FilteredSlopes(sweep, work, filter_)
+    scheme = Scheme(LumpedMass(sweep), slopes, Symplectic(), Damping(), work)
+    return AcousticStep(sweep, gas_of(rates), 1.0, scheme)
+
+
+def plain_step(kind, mapping, rates, flow=()):
+    """The paper's step on particle values, for any filter."""
+    keep = None if kind == "none" else make(kind, mapping)
+    return ReferenceStep(mapping, gas_of(rates, flow), 1.0, ParticleScheme(LumpedMass(mapping), Symplectic(), keep))
+
+
+def moving_reference(kind, grid, particles, rates, displacement):
+    """The same for particles of a run, which then move."""
+    return MovingReference(particles, plain_step(kind, Mapping.at(grid, particles), rates, displacement))

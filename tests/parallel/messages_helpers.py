@@ -13,7 +13,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from mpipic.mesh.grid import Grid
-from mpipic.particles.migration import LostParticles, Routes, migrate
+from mpipic.particles.migration import LostParticles, Reach, Routes, migrate
 from mpipic.particles.store import Particles
 from mpipic.run.loop import Simulation
 from mpipic.runtime import start
@@ -46,7 +46,7 @@ def case_routes() -> Any:
         coordinate = coordinate[grid.owner_of(coordinate) == COMM.rank]
         for move, displacement in MOVES.items():
             shift = displacement[: grid.dim]
-            routes = Routes(grid, shift)
+            routes = Routes(grid, Reach.of_one(shift))
             reached = np.unique(grid.owner_of(grid.wrapped(coordinate + shift))).tolist()
             facts = {"destinations": routes.destinations, "sources": routes.sources, "reached": reached}
             routes.free()
@@ -112,19 +112,19 @@ def case_step() -> Any:
         settings += ["filter.tolerance=1e-6"] if kind == "exact" else []  # iterations are counted, not results
         scene = Scene.load(None, [*settings, "particles.layout=random", f"filter.kind={kind}"])
         simulation = Simulation(scene, COMM)
-        simulation.formulation.step()  # solvers are made when first used
+        simulation.physics.step()  # solvers are made when first used
         counted = count_calls(simulation, set())
         Counting.calls.clear()
         before = {name: logged("count", (name,)) for name in (*SOLVER, *HALO)}
         reductions, messages = logged("numReductions", HALO + VECTORS), logged("numMessages", HALO)
-        migrated = simulation.sweep.migrated
+        migrated = simulation.physics.stepper.sweep.migrated
         for _ in range(STEPS):
-            simulation.formulation.step()
+            simulation.physics.step()
         calls = dict(Counting.calls)
         reductions = logged("numReductions", HALO + VECTORS) - reductions
         messages = logged("numMessages", HALO) - messages
         events = {name: logged("count", (name,)) - count for name, count in before.items()}
-        migrated = COMM.gather(simulation.sweep.migrated - migrated)
+        migrated = COMM.gather(simulation.physics.stepper.sweep.migrated - migrated)
         facts = {"calls": calls, "counted": counted, "petsc_reductions": reductions, "halo_messages": messages}
         everywhere = COMM.gather({**facts, "events": events})
         found[kind] = {"ranks": everywhere, "migrated": migrated}
@@ -157,8 +157,8 @@ def case_astray() -> Any:
     if COMM.size < 4:
         return None
     grid = Grid((24,), (1.0,))
-    routes = Routes(grid, (0.25,))
-    particles = Particles(grid.h, {"density": 0, "velocity": 1})
+    routes = Routes(grid, Reach.of_one((0.25,)))
+    particles = Particles(grid.h, {"density": (), "velocity": (1,)})
     home = grid.owned_start[0] + 0.5
     away = (home + 2 * grid.owned_shape[0]) % 24
     particles.append(np.array([[home], [away]]), np.zeros((2, 2)), np.array([2 * COMM.rank, 2 * COMM.rank + 1]))

@@ -19,6 +19,12 @@ from mpipic.scene.records import Scene
 COMM = start()
 
 
+def migrated_so_far(simulation: Simulation) -> int:
+    """How many particles have arrived on this rank, whichever form of the step counts them."""
+    stepper = simulation.physics.stepper
+    return stepper.sweep.migrated if hasattr(stepper, "sweep") else stepper.motion.migrated
+
+
 class Watch:
     """An observer that keeps how many particles there were, and which rank held them, after every step."""
 
@@ -36,7 +42,7 @@ class Watch:
     def progress(self, step: int, time: float) -> None:
         """Keep the local count and what has migrated so far."""
         self.counts.append(self.simulation.particles.count)
-        self.migrated.append(self.simulation.sweep.migrated)
+        self.migrated.append(migrated_so_far(self.simulation))
 
 
 def by_id(simulation: Simulation) -> dict[str, np.ndarray] | None:
@@ -46,8 +52,8 @@ def by_id(simulation: Simulation) -> dict[str, np.ndarray] | None:
         "ids": particles.ids,
         "coordinate": particles.coordinate,
         "position": particles.position,
-        "density": particles.field("density"),
-        "velocity": particles.field("velocity"),
+        "density": particles["density"],
+        "velocity": particles["velocity"],
         "rank": np.full(particles.count, COMM.rank),
         "owner": simulation.grid.owner_of(particles.coordinate),
     }

@@ -55,9 +55,9 @@ def test_without_flow_no_particle_moves_and_the_wave_still_travels(dim, kind):
     start = by_id(run_scene(scene(dim, kind, flow=(0.0,) * 3, steps=0))[0].particles)
     simulation, _, reports = run_scene(scene(dim, kind, flow=(0.0,) * 3))
     end = by_id(simulation.particles)
-    assert np.array_equal(end[0], start[0]) and simulation.sweep.sorts == 1
+    assert np.array_equal(end[0], start[0]) and simulation.physics.facts()["sorts"] == 1
     assert np.abs(end[1] - start[1]).max() > 0.3
-    assert reports.errors[100].density.l2 < (0.03, 0.2, 0.2)[dim - 1]
+    assert reports.errors[100].errors["density"].l2 < (0.03, 0.2, 0.2)[dim - 1]
 
 
 @every_dimension

@@ -31,7 +31,7 @@ def exact():
 
 
 def l2(run, step):
-    return run[2].errors[step].density.l2
+    return run[2].errors[step].errors["density"].l2
 
 
 def test_the_local_filter_completes_5000_steps(filtered):

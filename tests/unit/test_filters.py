@@ -150,11 +150,23 @@ def test_a_filter_moves_with_its_mapping(kind):
 
 
 @every_kind
-def test_a_sweep_cannot_be_asked_to_filter_any_particle_values(kind):
-    cells, length = GRIDS["1D"]
-    sweep = sweep_of(grid_of(cells, length), pattern("random", cells, length))
-    with pytest.raises(TypeError, match=r"needs a Mapping.*Sweep"):
-        make(kind, sweep).apply(np.zeros(sweep.particles.count))
+def test_on_a_sweep_a_filter_takes_any_particle_values_too(kind):
+    cells, length = GRIDS["2D"]
+    position = pattern("random", cells, length)
+    sweep = sweep_of(grid_of(cells, length), position)
+    q = noise(len(position), 2)[sweep.particles.ids]
+    wanted = Dense(cells, length, position[sweep.particles.ids]).filter(kind) @ q
+    close(make(kind, sweep).apply(q), wanted, allowed(kind, 1e-12))
+
+
+@every_kind
+def test_tensors_are_filtered_component_by_component(kind):
+    filter_, dense = case("2D", "random", kind)
+    q = noise(len(dense.phi), 2, 2)
+    filtered = filter_.apply(q)
+    assert filtered.shape == q.shape
+    for i, j in np.ndindex(2, 2):
+        close(filtered[:, i, j], dense.filter(kind) @ q[:, i, j], allowed(kind, 1e-12), scale=np.abs(q).max())
 
 
 @every_nodal_kind

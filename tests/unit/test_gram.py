@@ -106,7 +106,7 @@ def test_a_matrix_larger_than_what_is_taken_at_once_is_applied_whole():
     matrix.refresh()
     nodal = values(grid.node_count)
     order = to_petsc(grid)
-    wanted = on_nodes(grid, mapping.apply_gram(ghosted(grid, nodal)))
+    wanted = on_nodes(grid, mapping.gram.apply(ghosted(grid, nodal)))
     result = times(matrix.mult, (nodal[order] * matrix.root)[:, None])[:, 0]
     close(result * matrix.root, wanted[order], 1e-13)
 

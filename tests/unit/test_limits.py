@@ -22,14 +22,13 @@ def peak_after(scheme, cfl, steps=600):
     """Largest |density| relative to the start, of noise at frozen positions."""
     still = ["grid.cells=[24]", "gas.flow=[0.0]", f"time.cfl={cfl}", "initial.profile=plane-wave"]
     simulation = Simulation(Scene.load(None, [*still, *SCHEMES[scheme]]), MPI.COMM_SELF)
-    simulation.particles.state[...] = np.random.default_rng(0).standard_normal(simulation.particles.state.shape)
-    simulation.sweep.remap()
-    start = simulation.sweep.peak
+    simulation.set_state(state=np.random.default_rng(0).standard_normal(simulation.particles.state.shape))
+    start = simulation.physics.peak
     for _ in range(steps):
-        simulation.formulation.step()
-        if not simulation.sweep.peak < 1e6 * start:
+        simulation.physics.step()
+        if not simulation.physics.peak < 1e6 * start:
             return np.inf
-    return simulation.sweep.peak / start
+    return simulation.physics.peak / start
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)

@@ -155,7 +155,7 @@ def test_a_rank_without_particles_maps_zeros():
         assert mapping.p2g(np.empty(shape)).shape == (grid.local_nodes, *shape[1:])
         assert not mapping.p2g(np.empty(shape)).any()
     assert mapping.g2p(grid.zeros(2)).shape == (0, 2)
-    assert mapping.gradient(grid.zeros(1)).shape == (0, 2)
+    assert mapping.gradient(grid.zeros(3)).shape == (0, 3, 2)
     assert mapping.divergence(grid.zeros(2)).shape == (0,)
 
 
@@ -189,7 +189,7 @@ def test_with_weights_sums_row_sums_and_means_are_the_weighted_matrices(box, nam
 def test_with_weights_the_gram_matrix_is_the_weighted_one(box, name):
     grid, position, weight, dense = weighted_case(box, name)
     mapping, nodal = Mapping(grid, position, weight), values(grid.node_count, 2)
-    close(on_nodes(grid, mapping.apply_gram(ghosted(grid, nodal))), dense.G @ nodal, scale=dense.d.max())
+    close(on_nodes(grid, mapping.gram.apply(ghosted(grid, nodal))), dense.G @ nodal, scale=dense.d.max())
 
 
 @every_dimension
@@ -221,7 +221,7 @@ def test_an_update_takes_new_weights_and_without_them_forgets_the_old(dim):
     grid, position = grid_of(cells, length), pattern("random", cells, length)
     first, second = np.random.default_rng(1).random((2, len(position))) + 0.1
     q, mapping, versions = values(len(position)), Mapping(grid, position, first), []
-    mapping.apply_gram(grid.zeros(1))
+    mapping.gram.apply(grid.zeros(1))
     for weight in (second, None, first):
         versions.append(mapping.version)
         mapping.update(position, weight)

@@ -11,7 +11,7 @@ from petsc4py import PETSc
 
 from dense_helpers import close, pattern
 from mpipic.errors import NotConverged
-from mpipic.physics.acoustics.formulation import OnParticles
+from mpipic.physics.acoustics.reference import MovingReference
 from scheme_helpers import Run, label
 from spline_helpers import Gas, Scheme, Splines, run_steps, short_step
 
@@ -29,8 +29,9 @@ every_dimension = pytest.mark.parametrize("dim", [1, 2])
 
 
 def integrator_of(run):
-    formulation = run.formulation
-    return (formulation.update.__self__ if isinstance(formulation, OnParticles) else formulation).integrate
+    stepper = run.stepper
+    step = stepper.reference if isinstance(stepper, MovingReference) else stepper
+    return step.scheme.integrate
 
 
 def case(dim, name="random", cfl=5.0, flow=(0.0, 0.0), boxes=BOXES):
@@ -95,7 +96,7 @@ def test_conjugate_gradients_serve_where_the_operator_is_symmetric(scheme, symme
     """R U, built column by column, is symmetric and negative just where it is taken to be so."""
     box, gas, dt, position, _ = case(1)
     midpoint = integrator_of(run_of(scheme, box, gas, dt, position, np.zeros((len(position), 2))))
-    assert midpoint.symmetric is symmetric
+    assert midpoint.solver.symmetric is symmetric
     splines = Splines(scheme.basis, *box, position)
     slope = splines.field_slopes(scheme)[0]
     product = slope @ slope
@@ -196,7 +197,7 @@ def test_a_state_that_is_no_number_gives_nan_and_no_error(scheme, dim, bad, colu
     state[3, column] = bad
     with np.errstate(invalid="ignore"):
         run = run_of(scheme, box, gas, dt, position, state).steps(2)
-    assert np.isnan(run.result[1][:, 0]).any() and not np.isfinite(run.sweep.peak)
+    assert np.isnan(run.result[1][:, 0]).any() and not np.isfinite(run.physics.peak)
 
 
 @every_scheme
@@ -207,9 +208,9 @@ def test_the_solver_is_made_once_and_begins_at_the_present_density(scheme):
     run = run_of(scheme, box, gas, dt, position, uniform)
     run.steps(1)
     midpoint = integrator_of(run)
-    solver = midpoint._ksp
+    solver = midpoint.solver.ksp
     run.steps(2)
-    assert midpoint._ksp is solver and midpoint.iterations <= 2
+    assert midpoint.solver.ksp is solver and midpoint.solver.iterations <= 2
     close(run.result[1], uniform, 1e-11)
 
 

@@ -8,7 +8,7 @@ from mpi4py import MPI
 
 import mpipic
 from dense_helpers import Dense, close, pattern
-from mpipic.particles.migration import Routes, migrate
+from mpipic.particles.migration import Reach, Routes, migrate
 from mpipic.particles.placement import Placement
 from serial_helpers import by_id, grid_of, on_nodes, particles_of
 
@@ -32,7 +32,7 @@ def test_particles_sent_away_come_back_whole_when_there_is_one_rank(dim, displac
     density, velocity = rng.random(len(position)), rng.random((len(position), dim))
     particles = particles_of(grid, position, density, velocity)
     before = by_id(particles)
-    routes = Routes(grid, displacement[:dim] if displacement else None)
+    routes = Routes(grid, Reach.of_one(displacement[:dim]) if displacement else None)
     leaving = np.array([0, 3, len(position) - 1])
     assert migrate(particles, routes, leaving) == 3
     assert particles.ids[-3:].tolist() == leaving.tolist()

@@ -16,7 +16,7 @@ every_dimension = pytest.mark.parametrize("dim", [1, 2, 3])
 
 def some_particles(grid, n, first=0, seed=1):
     """Fields are functions of the id, so that rows can be told apart."""
-    particles = Particles(grid.h, {"density": 0, "velocity": grid.dim})
+    particles = Particles(grid.h, {"density": (), "velocity": (grid.dim,)})
     add_particles(particles, grid, n, first, seed)
     return particles
 
@@ -38,20 +38,31 @@ def rows_are_whole(particles):
 @every_dimension
 def test_fields_are_views_of_the_state(dim):
     particles = some_particles(grid_of(*BOXES[dim]), 20)
-    particles.field("density")[:] = 7.0
-    particles.field("velocity")[:, -1] = 8.0
+    particles["density"][:] = 7.0
+    particles["velocity"][:, -1] = 8.0
     assert np.all(particles.state[:, 0] == 7.0) and np.all(particles.state[:, -1] == 8.0)
     assert {name: array.shape for name, array in particles.fields.items()} == {"density": (20,), "velocity": (20, dim)}
     assert all(np.shares_memory(array, particles.state) for array in particles.fields.values())
 
 
-def test_fields_may_have_any_names_and_numbers_of_components():
-    particles = Particles((1.0, 1.0), {"stress": 3, "mass": 0, "colour": 1})
-    particles.append(np.zeros((2, 2)), np.arange(10.0).reshape(2, 5), np.arange(2))
-    assert particles.field("stress").shape == (2, 3)
-    assert particles.field("mass").tolist() == [3.0, 8.0]
-    assert particles.field("colour").shape == (2, 1)
-    assert particles.bytes_per_particle == 8 * (2 + 5 + 1)
+def test_fields_may_have_any_names_and_shapes():
+    particles = Particles((1.0, 1.0), {"stress": (2, 2), "mass": (), "colour": (1,)})
+    particles.append(np.zeros((2, 2)), np.arange(12.0).reshape(2, 6), np.arange(2))
+    assert particles["stress"].tolist() == [[[0.0, 1.0], [2.0, 3.0]], [[6.0, 7.0], [8.0, 9.0]]]
+    assert particles["mass"].tolist() == [4.0, 10.0]
+    assert particles["colour"].tolist() == [[5.0], [11.0]]
+    assert particles.bytes_per_particle == 8 * (2 + 6 + 1)
+
+
+def test_a_field_can_be_assigned_to_and_changed_in_place():
+    particles = Particles((1.0, 1.0), {"mass": (), "stress": (2, 2)})
+    particles.append(np.zeros((3, 2)), np.zeros((3, 5)), np.arange(3))
+    particles["mass"] = 2.0
+    particles["stress"] = np.eye(2)
+    particles["stress"] += particles["stress"]
+    assert np.array_equal(particles.state, [[2.0, 2.0, 0.0, 0.0, 2.0]] * 3)
+    wanted = particles.state_of({"stress": np.full((4, 2, 2), 7.0)}, 4)
+    assert np.array_equal(wanted, [[0.0, 7.0, 7.0, 7.0, 7.0]] * 4)
 
 
 @every_dimension

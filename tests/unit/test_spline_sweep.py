@@ -6,7 +6,8 @@ from mpi4py import MPI
 
 from dense_helpers import close, pattern
 from mpipic.mapping import sweep as sweeps
-from mpipic.mapping.sweep import SplineSweep, Sweep
+from mpipic.mapping.linear_sweep import LinearSweep
+from mpipic.mapping.spline_sweep import SplineSweep
 from mpipic.mesh.grid import Grid
 from scheme_helpers import matrix_of
 from serial_helpers import by_id, divergence_sums, ghosted, gradient_sums, gram_matrix, on_nodes, particles_of, values
@@ -161,10 +162,10 @@ def test_sorting_in_its_own_time_keeps_cells_and_particles_together(basis, dim):
 @every_flow
 @pytest.mark.parametrize("name", ["random", "on nodes", "few"])
 def test_on_the_linear_basis_it_does_what_the_linear_sweep_does(dim, flow, name):
-    one, other = (spline_sweep("linear", BOXES, dim, name, flow, cls) for cls in (Sweep, SplineSweep))
+    one, other = (spline_sweep("linear", BOXES, dim, name, flow, cls) for cls in (LinearSweep, SplineSweep))
     grid = one.grid
     for step in range(40):
-        close(other.sums, one.sums, 1e-13)
+        close(other.held_sums, one.held_sums, 1e-13)
         nodal = values(grid.node_count, 1 + dim, seed=step)
         scale = one.weights.max() * max(grid.inverse_h) * 4.0
         difference = gradient_sums(other, nodal[:, 0]) - gradient_sums(one, nodal[:, 0])
@@ -206,7 +207,6 @@ def test_sums_add_to_what_is_there(basis, dim):
         (sweep.divergence_sums, vector, 1),
         (sweep.transposed_gradient_sums, scalar, dim),
         (sweep.transposed_divergence_sums, vector, 1),
-        (sweep.gram, scalar, 1),
     ):
         once = verb(nodal, out=grid.zeros(columns))
         out = np.ones_like(once)
@@ -235,7 +235,7 @@ def test_without_particles_all_sums_are_zero(basis, dim, flow):
     sweep = SplineSweep(grid, particles_of(grid, np.empty((0, dim))), np.array(FLOWS[flow][:dim]) * grid.h)
     sweep.advance(ghosted(grid, values(grid.node_count, 1 + dim)), (1.0, 1.0))
     nodal = ghosted(grid, values(grid.node_count, dim))
-    assert not sweep.sums.any() and not sweep.divergence_sums(nodal, out=grid.zeros(1)).any() and sweep.peak == 0.0
+    assert not sweep.held_sums.any() and not sweep.divergence_sums(nodal, out=grid.zeros(1)).any() and sweep.peak == 0.0
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
@@ -243,7 +243,7 @@ def test_without_particles_all_sums_are_zero(basis, dim, flow):
 @every_dimension
 def test_a_value_that_is_no_number_shows_in_the_peak(basis, dim, bad):
     sweep = spline_sweep(basis, BOXES, dim, "random", "slow")
-    sweep.particles.field("density")[7] = bad
+    sweep.particles["density"][7] = bad
     sweep.advance(sweep.grid.zeros(1 + dim), (1.0, 1.0))
     assert not np.isfinite(sweep.peak)
 
@@ -253,4 +253,4 @@ def test_a_value_that_is_no_number_shows_in_the_peak(basis, dim, bad):
 def test_only_the_linear_basis_without_transposes_has_the_sweep_of_one_pass(basis, transposed):
     grid = Grid((8,), (1.0,), MPI.COMM_SELF, basis)
     sweep = sweeps.create(grid, particles_of(grid, np.array([[0.3]])), (0.1,), transposed=transposed)
-    assert type(sweep) is (Sweep if basis == "linear" and not transposed else SplineSweep)
+    assert type(sweep) is (LinearSweep if basis == "linear" and not transposed else SplineSweep)

@@ -145,7 +145,7 @@ def test_particles_see_nodal_values_and_slopes_as_the_dense_matrices_say(basis, 
 def test_the_gram_matrix_is_the_dense_one(basis, box, name):
     grid, dense, mapping = case(basis, box, name)
     nodal = values(grid.node_count, 2)
-    close(on_nodes(grid, mapping.apply_gram(ghosted(grid, nodal))), dense.G @ nodal, scale=dense.d.max() * 4.0)
+    close(on_nodes(grid, mapping.gram.apply(ghosted(grid, nodal))), dense.G @ nodal, scale=dense.d.max() * 4.0)
     close(matrix_of(grid, mapping), dense.G)
 
 
@@ -157,7 +157,7 @@ def test_what_particles_count_weighs_sums_means_and_the_gram_matrix(basis, box):
     close(on_nodes(grid, mapping.weights), dense.d)
     close(on_nodes(grid, mapping.sums(q)), dense.transposed @ q, scale=dense.d.max() * 4.0)
     close(on_nodes(grid, mapping.p2g(q)), dense.S @ q, 1e-10, scale=4.0)
-    close(on_nodes(grid, mapping.apply_gram(ghosted(grid, nodal))), dense.G @ nodal, scale=dense.d.max() * 4.0)
+    close(on_nodes(grid, mapping.gram.apply(ghosted(grid, nodal))), dense.G @ nodal, scale=dense.d.max() * 4.0)
     close(matrix_of(grid, mapping), dense.G)
     plain = case(basis, box, "random")[1]
     assert np.abs(plain.G - dense.G).max() > 0.1

@@ -48,6 +48,8 @@ class ShellSolver:
 
     Attributes
     ----------
+    ksp : PETSc.KSP or None
+        The solver, once there was something to solve.
     iterations : int
         In the last solve.
     apply : function or None
@@ -58,7 +60,7 @@ class ShellSolver:
         self.prefix, self.name, self.tolerance, self.symmetric = prefix, name, tolerance, symmetric
         self.iterations = 0
         self.apply: Apply | None = None
-        self._ksp: PETSc.KSP | None = None
+        self.ksp: PETSc.KSP | None = None
         self._shell: PETSc.Mat
         self._x: PETSc.Vec
         self._b: PETSc.Vec
@@ -66,10 +68,10 @@ class ShellSolver:
 
     def close(self) -> None:
         """Give PETSc's objects back. Collective."""
-        if self._ksp is not None:
-            for item in (self._ksp, self._shell, self._x, self._b):
+        if self.ksp is not None:
+            for item in (self.ksp, self._shell, self._x, self._b):
                 item.destroy()
-            self._ksp = None
+            self.ksp = None
 
     def solve(self, grid: Grid, apply: Apply, right: FloatArray, guess: FloatArray) -> FloatArray:
         """Return x on this rank, (own,), from this rank's part of b and of a first guess; NaN where b is not finite.
@@ -106,9 +108,9 @@ class ShellSolver:
 
     def _solver(self, grid: Grid, own: int) -> PETSc.KSP:
         """The KSP; made anew where the number of unknowns on this rank has changed (particles that migrated)."""
-        changed = self._ksp is None or self._b.getLocalSize() != own
+        changed = self.ksp is None or self._b.getLocalSize() != own
         if not grid.reduce(np.array([float(changed)]))[0]:
-            return self._ksp
+            return self.ksp
         self.close()
         self._shell = PETSc.Mat().createPython(((own, None), (own, None)), _Product(self), comm=grid.comm)
         self._x, self._b = self._shell.createVecs()
@@ -121,5 +123,5 @@ class ShellSolver:
         ksp.setInitialGuessNonzero(True)
         ksp.setOperators(self._shell)
         ksp.setFromOptions()
-        self._ksp = ksp
+        self.ksp = ksp
         return ksp

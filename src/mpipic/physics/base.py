@@ -29,12 +29,15 @@ class Physics(ABC):
         The field whose size ends a run when it grows past all bounds.
     compared : tuple of names
         Fields that are held against the exact solution.
+    shares : tuple of names
+        What `null_space_shares` returns.
     grid, particles
         What it runs on, once it has taken its `place`.
     """
 
     watched: str
     compared: tuple[str, ...] = ()
+    shares: tuple[str, ...] = ()
     grid: Grid
     particles: Particles
 

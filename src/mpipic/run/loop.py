@@ -162,7 +162,7 @@ class Simulation:
             return None
         compared = {name: exact[name] for name in physics.compared}
         report = measure(self.particles, compared, self.step, self.time, self.total, self.comm)
-        return replace(report, shares=physics.null_space_shares()) if shares else report
+        return replace(report, shares=physics.null_space_shares() if shares else dict.fromkeys(physics.shares))
 
     def _initial_size(self) -> float:
         """The size that growth is measured by, over all ranks."""

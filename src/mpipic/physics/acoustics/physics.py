@@ -71,6 +71,7 @@ class Acoustics(Physics):
 
     watched = "density"
     compared = ("density", "velocity")
+    shares = ("null_space_fraction",)
 
     def __init__(self, gas: Gas, solution: Solution | None, compose: Compose) -> None:
         self.gas, self.solution, self._compose = gas, solution, compose
