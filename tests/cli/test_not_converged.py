@@ -75,9 +75,7 @@ def late(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], SimpleName
             out = folder / str(ranks)
             with pytest.MonkeyPatch.context() as patch:
                 patch.setenv("PETSC_OPTIONS", "-filter_ksp_max_it 10")
-                done[ranks] = SimpleNamespace(
-                    ended=mpipic("run", *scene, "--output", out, ranks=ranks), folder=out
-                )
+                done[ranks] = SimpleNamespace(ended=mpipic("run", *scene, "--output", out, ranks=ranks), folder=out)
         return done[ranks]
 
     return result

@@ -24,7 +24,7 @@ RULE = "-" * 74 + "\n"
     ],
 )
 def test_what_launcher_and_hwloc_say_is_left_out_and_nothing_else(foreign: str) -> None:
-    ours = "warning: CFL 3 is above 2.8\n  File \"x.py\", line 1\nValueError: [1] -----\n"
+    ours = 'warning: CFL 3 is above 2.8\n  File "x.py", line 1\nValueError: [1] -----\n'
     assert without_launcher(foreign + ours) == without_launcher(ours + foreign) == ours
     assert without_launcher(ours.replace("\n", "\n" + foreign)) == ours
 
