@@ -24,6 +24,7 @@ NOT_YET = {
     (PRIVATE, "mapping/linear_sweep.py"),
     (PRIVATE, "mapping/spline_sweep.py"),
     ("scene imports no mesh: a room imports from rooms below it", "scene/records.py"),
+    ("no function above 40 lines", "io/snapshots.py"),
     ("no function above 40 lines", "run/verb.py"),
     ("only the door imports by name, which no test can read", "run/verb.py"),
 }
