@@ -2,14 +2,19 @@
 
 import numpy as np
 import pytest
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from dense_helpers import GRIDS, PATTERNS, Dense, close, pattern
-from mpipic.mapping.gram_stencil import GramStencil
+from mpipic.filters import ExactFilter
+from mpipic.mapping.gram_stencil import GramStencil, Penalty
 from mpipic.mapping.mapping import Mapping
+from mpipic.mapping.mass import LeastSquaresMass
 from mpipic.mapping.preconditioner import TensorPreconditioner, inverse_stencil
 from mpipic.mapping.solver import Series
+from mpipic.mesh.grid import Grid
 from serial_helpers import case, ghosted, grid_of, on_nodes, values
+from spline_helpers import Splines
 
 every_grid = pytest.mark.parametrize("box", GRIDS)
 every_pattern = pytest.mark.parametrize("name", PATTERNS)
@@ -109,6 +114,59 @@ def test_a_matrix_larger_than_what_is_taken_at_once_is_applied_whole():
     wanted = on_nodes(grid, mapping.gram.apply(ghosted(grid, nodal)))
     result = times(matrix.mult, (nodal[order] * matrix.root)[:, None])[:, 0]
     close(result * matrix.root, wanted[order], 1e-13)
+
+
+# ---------------------------------------------------------------- one product, three forms
+
+
+def spline_mapping(basis, dim, per_cell=4, weight=False):
+    """A mapping of random particles, its dense matrices, and nodal values."""
+    cells, length = {1: ((12,), (1.0,)), 2: ((6, 5), (1.5, 1.0)), 3: ((4, 3, 4), (1.0, 1.5, 1.0))}[dim]
+    rng = np.random.default_rng(3)
+    position = rng.random((per_cell * int(np.prod(cells)), dim)) * length
+    weights = 0.5 + rng.random(len(position)) if weight else None
+    mapping = Mapping(Grid(cells, length, MPI.COMM_SELF, basis), position, weights)
+    return mapping, Splines(basis, cells, length, position, weights)
+
+
+@pytest.mark.parametrize("weight", [False, True])
+@pytest.mark.parametrize("basis, dim", [(b, d) for b in ("linear", "quadratic", "cubic") for d in (1, 2, 3)])
+def test_the_product_is_the_gram_matrix_s_in_every_form(basis, dim, weight):
+    mapping, dense = spline_mapping(basis, dim, weight=weight)
+    nodal, grid = values(mapping.grid.node_count, 2, 3), mapping.grid
+    assembled = []
+    for _ in range(3):  # six columns each time
+        product = on_nodes(grid, mapping.gram.apply(ghosted(grid, nodal)))
+        wanted = (dense.G @ nodal.reshape(len(nodal), -1)).reshape(nodal.shape)
+        close(product, wanted, 1e-13)
+        assembled.append(mapping.gram.assembled)
+    assert assembled[-1] == (basis != "linear")
+
+
+def test_the_stencil_is_assembled_when_columns_enough_follow_and_then_at_once_at_every_position():
+    mapping, _ = spline_mapping("cubic", 3)
+    column = ghosted(mapping.grid, values(mapping.grid.node_count, 1))
+    forms = []
+    for _ in range(12):
+        mapping.gram.apply(column)
+        forms.append(mapping.gram.assembled)
+    assert not forms[0] and forms[-1] and forms == sorted(forms), "passes first, then the stencil"
+    mapping.update(np.random.default_rng(8).random((192, 3)))
+    mapping.gram.apply(column)
+    assert mapping.gram.assembled
+    mapping.update(np.random.default_rng(9).random((192, 3)))
+    mapping.gram.apply(column)
+    assert not mapping.gram.assembled, "there was one column at the positions before"
+
+
+def test_all_who_solve_with_the_matrix_share_its_stencil():
+    mapping, _ = spline_mapping("quadratic", 2)
+    filter_, mass = ExactFilter(mapping, 1e-12), LeastSquaresMass(mapping, 1e-9)
+    assert filter_.solver.matrix is mass.solver.matrix is mapping.gram.stencil
+    assert (filter_.solver.prefix, mass.solver.prefix) == ("filter_", "mass_")
+    assert (filter_.solver.tolerance, mass.solver.tolerance) == (1e-12, 1e-9)
+    penalised = LeastSquaresMass(mapping, 1e-9, Penalty(0.1, 2))
+    assert penalised.solver.matrix is not mapping.gram.stencil
 
 
 # ---------------------------------------------------------------- the preconditioner

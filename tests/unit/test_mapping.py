@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from mpi4py import MPI
 
 from dense_helpers import GRIDS, PATTERNS, Dense, close, pattern
 from mpipic.mapping.mapping import Mapping
+from mpipic.mesh.grid import Grid
 from serial_helpers import EXACT, case, ghosted, grid_of, on_nodes, values
 
 every_grid = pytest.mark.parametrize("box", GRIDS)
@@ -274,3 +276,40 @@ def test_a_refused_update_leaves_the_mapping_as_it_was(wrong):
         mapping.update(moved, weight)
     after = mapping.p2g(q), mapping.g2p(mapping.weights), mapping.version
     assert all(np.array_equal(one, other) for one, other in zip(before, after))
+
+
+# ---------------------------------------------------------------- values of any shape
+
+
+@pytest.mark.parametrize("shape", [(), (2,), (2, 2), (3, 1, 2)])
+def test_values_of_any_shape_are_mapped_component_by_component(shape):
+    cells, length = EXACT[2]
+    position = pattern("random", cells, length)
+    mapping, q = Mapping(grid_of(cells, length), position), values(len(position), *shape)
+    nodal = mapping.p2g(q)
+    back, slopes = mapping.g2p(nodal), mapping.gradient(nodal)
+    assert nodal.shape[1:] == shape and back.shape == q.shape and slopes.shape == (*q.shape, 2)
+    for index in np.ndindex(shape):
+        component = (slice(None), *index)
+        alone = mapping.p2g(np.ascontiguousarray(q[component]))
+        assert np.array_equal(nodal[component], alone)
+        assert np.array_equal(back[component], mapping.g2p(alone))
+        assert np.array_equal(slopes[component], mapping.gradient(alone))
+
+
+@pytest.mark.parametrize("basis", ["linear", "quadratic", "cubic"])
+@pytest.mark.parametrize("dim", [1, 2, 3])
+@pytest.mark.parametrize("shape", [(), (2,)])
+def test_the_adjoint_gradient_is_that_of_the_gradient_and_the_divergence_is_its_trace(basis, dim, shape):
+    cells, length = EXACT[dim]
+    grid = Grid(cells, length, MPI.COMM_SELF, basis)
+    position = pattern("random", cells, length)
+    mapping = Mapping(grid, position)
+    q, w = values(len(position), *shape, dim), values(grid.node_count, *shape, seed=6)
+    nodal = ghosted(grid, w)
+    there = np.sum(mapping.gradient(nodal) * q)
+    back = np.sum(w * on_nodes(grid, mapping.adjoint_gradient(q)))
+    assert there == pytest.approx(back, rel=1e-11, abs=1e-11 * np.abs(q).sum() * np.abs(w).max() / min(grid.h))
+    field = ghosted(grid, values(grid.node_count, *shape, dim, seed=7))
+    slopes = mapping.gradient(field)
+    close(mapping.divergence(field), np.trace(slopes, axis1=-2, axis2=-1), 1e-12)

@@ -57,7 +57,8 @@ class Motion:
         of particles to each rank within it.
         """
         in_cells = np.asarray(displacement, dtype=np.float64) / np.array(self.grid.h)
-        steps = self.grid.rounded(np.fmod(in_cells, np.array(self.grid.cells, dtype=np.float64)))
+        with np.errstate(invalid="ignore"):  # infinities become NaN, and are refused below
+            steps = self.grid.rounded(np.fmod(in_cells, np.array(self.grid.cells, dtype=np.float64)))
         reach = self._reach_of(steps)
         leaving = shift(self.particles, self.grid, steps)
         return self._send(reach, leaving)
