@@ -12,21 +12,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from mpi4py import MPI
 
+from mpipic.analysis.triad import Triad
 from mpipic.console import Console
 from mpipic.files import write_json
-from mpipic.kernels.common import hot
 from mpipic.phases import Phases
+from mpipic.run.facts import STEP_PHASES, versions
 from mpipic.run.loop import Simulation
-from mpipic.run.verb import STEP_PHASES, versions
 from mpipic.run.warmup import compile_loops
 from mpipic.scene.records import Scene
 
-TRIAD_DOUBLES = 20_000_000
+if TYPE_CHECKING:
+    from mpi4py import MPI
+
 WARM_STEPS = 2
 FLOW, CFL = 0.05, 0.1
 
@@ -65,37 +66,12 @@ class Timing:
     phases: dict[str, float]
 
 
-@hot
-def _triad(a: Any, b: Any, c: Any, scale: float) -> None:
-    for i in range(a.size):
-        a[i] = b[i] + scale * c[i]
-
-
-class Triad:
-    """STREAM's triad, a = b + s c, 24 bytes an element, on all ranks at once."""
-
-    def __init__(self, comm: MPI.Comm) -> None:
-        self.comm = comm
-        self._arrays = [np.ones(TRIAD_DOUBLES) for _ in range(3)]
-        _triad(*self._arrays, 3.0)
-
-    def bandwidth(self) -> float:
-        """Bytes per second of all ranks together, the best of three. Collective."""
-        best = np.inf
-        for _ in range(3):
-            self.comm.Barrier()
-            began = perf_counter()
-            _triad(*self._arrays, 3.0)
-            best = min(best, perf_counter() - began)
-        return 24.0 * TRIAD_DOUBLES * self.comm.size / float(self.comm.allreduce(best, op=MPI.MAX))
-
-
 def scene_of(dim: int, kind: str, plan: Plan) -> Scene:
-    """A box of about the planned number of particles: cubic, flow along every axis, a plane wave."""
+    """Return a box of about the planned number of particles: cubic, flow along every axis, a plane wave."""
     per_axis = _per_axis(dim, plan.per_cell)
     per_cell = [plan.per_cell] if plan.layout == "random" else per_axis
     side = max(2, round((plan.particles / float(np.prod(per_axis))) ** (1.0 / dim)))
-    particles: dict[str, Any] = {"layout": plan.layout, "per_cell": per_cell}
+    particles: dict[str, object] = {"layout": plan.layout, "per_cell": per_cell}
     if plan.layout == "jittered":
         particles["jitter"] = 0.4
     return Scene.from_dict(
@@ -112,7 +88,7 @@ def scene_of(dim: int, kind: str, plan: Plan) -> Scene:
 
 
 def _per_axis(dim: int, per_cell: int) -> list[int]:
-    """Factors of `per_cell`, one per axis, as even as whole numbers allow, the largest first."""
+    """Return factors of `per_cell`, one per axis, as even as whole numbers allow, the largest first."""
     factors = [1] * dim
     rest, prime = per_cell, 2
     while rest > 1:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from mpi4py import MPI
@@ -21,8 +21,10 @@ from mpipic.draws import noise
 from mpipic.files import write_json
 from mpipic.mapping.mapping import Mapping
 from mpipic.run.build import check_filter, place
-from mpipic.run.verb import versions
-from mpipic.scene.records import Scene
+from mpipic.run.facts import versions
+
+if TYPE_CHECKING:
+    from mpipic.scene.records import Scene
 
 REFERENCE_TOLERANCE = 1e-13
 LONGEST, MOST = 1.0, 25

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from mpi4py import MPI
@@ -25,9 +25,11 @@ from mpipic.filters import ExactFilter
 from mpipic.io.run_directory import RunDirectory
 from mpipic.mapping.mapping import Mapping
 from mpipic.particles.migration import Routes
+from mpipic.run.facts import versions
 from mpipic.run.loop import Simulation
-from mpipic.run.verb import versions
-from mpipic.scene.records import Scene
+
+if TYPE_CHECKING:
+    from mpipic.scene.records import Scene
 
 NOISE = 1e-16
 """Size of rounding relative to the solution: what grows."""
@@ -101,12 +103,12 @@ class Monodromy:
 
     @property
     def unknowns(self) -> int:
-        """On all ranks."""
-        return self.simulation.total * self.width
+        """Size of M: unknowns on all ranks."""
+        return int(self.simulation.total) * self.width
 
     @property
     def own(self) -> int:
-        """On this rank."""
+        """Rows of M that this rank holds."""
         return len(self.ids) * self.width
 
     def apply(self, x: FloatArray) -> FloatArray:

@@ -23,10 +23,10 @@ from mpipic.files import write_csv
 from mpipic.mapping.mapping import Mapping
 from mpipic.mesh.grid import Grid
 from mpipic.run.build import check_filter, place
-from mpipic.scene.records import Scene
 
 if TYPE_CHECKING:
     from mpipic.plots.spectra import Curve
+    from mpipic.scene.records import Scene
 
 PHASE = 0.3
 WAVES = 64

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mpipic.arrays import FloatArray
-from mpipic.mesh.grid import Grid
 from mpipic.scene.presets import PRESETS
 
-Place = Callable[[Grid, np.random.Generator], FloatArray]
+if TYPE_CHECKING:
+    from mpipic.mesh.grid import Grid
+
+Place = Callable[["Grid", np.random.Generator], FloatArray]
+"""From a grid to coordinates in cells, (n, d)."""
 
 
 @dataclass(frozen=True)

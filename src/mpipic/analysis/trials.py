@@ -23,8 +23,8 @@ from mpipic.console import Console
 from mpipic.errors import NotConverged
 from mpipic.files import write_json
 from mpipic.run.diagnostics import ErrorReport, norms
+from mpipic.run.facts import versions
 from mpipic.run.loop import Simulation
-from mpipic.run.verb import versions
 from mpipic.scene.records import Scene, SceneError
 
 AGREE = 0.05

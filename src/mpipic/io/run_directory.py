@@ -68,7 +68,7 @@ class RunDirectory:
     @staticmethod
     def default(scene_name: str, comm: MPI.Comm, parent: Path | str = "runs") -> Path:
         """Create and return runs/<scene name>-<YYYYmmdd-HHMMSS>, with -2, -3, … when taken. Collective."""
-        answer = comm.bcast(_claim(Path(parent), scene_name) if comm.rank == 0 else None)
+        answer: Path | str = comm.bcast(_claim(Path(parent), scene_name) if comm.rank == 0 else "")
         if isinstance(answer, str):
             raise OutputError(answer)
         return answer

@@ -96,6 +96,11 @@ class ParticleSeries:
                 raise ValueError("the step was written before")
             tree = openpmd.snapshot(time, dt, particles, counts, self._comm.rank, grid, nodal_fields)
         self._compare(step, tree)
+        self._add(step, tree)
+        self._steps.add(step)
+
+    def _add(self, step: int, tree: openpmd.Tree) -> None:
+        """Write a snapshot and, when all of it is there, link it into the file. Collective."""
         with self._together(f"{self.part}: snapshot of step {step} failed"):
             group, datasets = hdf5.create_tree(self._file, tree) if self._file else (None, {})
         try:
@@ -108,7 +113,6 @@ class ParticleSeries:
                 self._file["data"][str(step)] = group
                 hdf5.release(group, datasets)
                 self._file.flush()
-        self._steps.add(step)
 
     def close(self) -> None:
         """Finish the file and give it its name; without snapshots, leave none. Collective; repeatable."""

@@ -2,39 +2,37 @@
 
 from __future__ import annotations
 
-import platform
-from importlib import metadata
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
-
-from mpi4py import MPI
+from typing import TYPE_CHECKING
 
 from mpipic.console import Console, Progress
 from mpipic.errors import NotConverged
 from mpipic.io.run_directory import ERROR_PLOT, PARTICLES, SOLUTION_PLOT, RunDirectory
 from mpipic.phases import Phases
-from mpipic.run import describe as advice
+from mpipic.run import describe
 from mpipic.run.build import solution_of
 from mpipic.run.diagnostics import ErrorReport
+from mpipic.run.facts import STEP_PHASES, versions
 from mpipic.run.limits import cfl_limit
 from mpipic.run.loop import Outcome, Simulation
 from mpipic.run.warmup import compile_loops
 from mpipic.runtime import StopRequest
-from mpipic.scene.records import Scene
 
 if TYPE_CHECKING:
+    from mpi4py import MPI
+
     from mpipic.io.snapshots import ParticleSeries
+    from mpipic.scene.records import Scene
 
 EXIT_CODES = {"completed": 0, "unstable": 3, "interrupted": 130}
-STEP_PHASES = ("particles", "nodes", "filter", "halo", "migrate", "sort")
 
 
 class Recorder:
     """Watches a run and keeps what it says: history rows, error reports, snapshots, progress."""
 
     def __init__(self, simulation: Simulation, directory: RunDirectory, progress: Progress) -> None:
-        self.rows: list[dict[str, Any]] = []
+        self.rows: list[dict[str, float | None]] = []
         self.reports: list[ErrorReport] = []
         self._simulation, self._directory, self._progress = simulation, directory, progress
         self._series: ParticleSeries | None = None
@@ -45,8 +43,8 @@ class Recorder:
         """Keep a row of the history; at report steps also bring the files up to date."""
         self._peak = peak
         self.progress(step, time)
-        row = {"step": step, "time": time, "max_density": peak, "seconds": perf_counter() - self._since}
-        self.rows.append({**row, **(report.row() if report else {})})
+        seconds, measured = perf_counter() - self._since, report.row() if report else {}
+        self.rows.append({"step": step, "time": time, "max_density": peak, "seconds": seconds, **measured})
         if report:
             self.reports.append(report)
             self._directory.write_history(self.rows)
@@ -65,10 +63,11 @@ class Recorder:
         rate = self._simulation.total * step / max(perf_counter() - self._since, 1e-9)
         self._progress.update(step, time, self._peak, rate)
 
-    def close(self) -> None:
-        """Finish the snapshots. Collective."""
+    def finish(self) -> None:
+        """Bring snapshots and history to their end. Collective."""
         if self._series is not None:
             self._series.close()
+        self._directory.write_history(self.rows)
 
 
 def run(scene: Scene, comm: MPI.Comm, output: Path | None, overwrite: bool, console: Console, plots: bool) -> int:
@@ -93,36 +92,43 @@ def run(scene: Scene, comm: MPI.Comm, output: Path | None, overwrite: bool, cons
     if limit is not None and scene.cfl > limit:
         console.warning(f"CFL {scene.cfl:.4g} is above {limit:.4g}, the limit of this scheme: sound waves will grow")
     stop = StopRequest()
-    with console.progress(scene.time.steps) as progress:
-        recorder = Recorder(simulation, directory, progress)
-        try:
-            outcome = simulation.run(recorder, stop)
-        except NotConverged:
-            recorder.close()
-            directory.write_history(recorder.rows)
-            stop.release()
-            raise
-    phases("output")
-    recorder.close()
-    seconds = {"total": perf_counter() - began, "setup": phases.total("setup", "compile")}
-    directory.write_history(recorder.rows)
-    directory.write_summary(summary(simulation, outcome, recorder.reports, seconds))
-    _say(console, outcome, simulation, recorder, limit)
-    if plots and outcome.status != "interrupted":
-        phases("pictures")
-        _draw(directory, simulation, outcome, recorder)
-        phases("other")
+    try:
+        outcome, recorder = _take_steps(simulation, directory, console, stop)
+        seconds = {"total": perf_counter() - began, "setup": phases.total("setup", "compile")}
+        directory.write_summary(summary(simulation, outcome, recorder.reports, seconds))
+        _say(console, outcome, simulation, recorder, limit)
+        if plots and outcome.status != "interrupted":
+            phases("pictures")
+            _draw(directory, simulation, outcome, recorder)
+            phases("other")
+    finally:
+        stop.release()
     console.phase_table(_at_least_a_millisecond(phases.seconds), perf_counter() - began)
     console.message(f"results in {path}")
-    stop.release()
     simulation.close()
     return EXIT_CODES[outcome.status]
 
 
+def _take_steps(
+    simulation: Simulation, directory: RunDirectory, console: Console, stop: StopRequest
+) -> tuple[Outcome, Recorder]:
+    """Run to the end, and leave snapshots and history complete, also where a solver gives up. Collective."""
+    with console.progress(simulation.scene.time.steps) as progress:
+        recorder = Recorder(simulation, directory, progress)
+        try:
+            outcome = simulation.run(recorder, stop)
+        except NotConverged:
+            recorder.finish()
+            raise
+    simulation.phases("output")
+    recorder.finish()
+    return outcome, recorder
+
+
 def banner(simulation: Simulation, path: Path, limit: float | None = None) -> list[tuple[str, str]]:
-    """What is about to run, as (name, value) lines; `limit`: the scheme's CFL limit where it is known."""
+    """Return what is about to run, as (name, value) lines; `limit` is the scheme's CFL limit where it is known."""
     scene, grid = simulation.scene, simulation.grid
-    built, left_out = advice.parts(scene)
+    built, left_out = describe.parts(scene)
     ranks = f"{grid.size}, as {' x '.join(map(str, grid.blocks))} blocks" if grid.size > 1 else "1"
     per_cell = simulation.total / grid.node_count
     bound = "" if limit is None else f" (limit {limit:.3g})"
@@ -145,13 +151,13 @@ def banner(simulation: Simulation, path: Path, limit: float | None = None) -> li
 
 def summary(
     simulation: Simulation, outcome: Outcome, reports: list[ErrorReport], seconds: dict[str, float]
-) -> dict[str, Any]:
-    """The content of summary.json."""
+) -> dict[str, object]:
+    """Return the content of summary.json. Collective."""
     phases = simulation.phases
     stepping = phases.total(*STEP_PHASES)
     # a blow-up is dated to its step, but steps go on until the ranks next look
     done = simulation.total * simulation.step
-    result: dict[str, Any] = {
+    result: dict[str, object] = {
         "status": outcome.status,
         "steps": outcome.step,
         "time": outcome.step * simulation.scene.dt,
@@ -178,21 +184,6 @@ def summary(
     return result
 
 
-def versions() -> dict[str, str]:
-    """Versions of everything that a result may depend on."""
-    names = ("mpipic", "numpy", "mpi4py", "petsc4py", "numba")
-    found = {}
-    for name in names:
-        try:
-            found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            import importlib
-
-            found[name] = str(getattr(importlib.import_module(name), "__version__", "unknown"))
-    library = MPI.Get_library_version().splitlines()[0].strip("\0 ")
-    return {**found, "python": platform.python_version(), "mpi": library, "machine": platform.machine()}
-
-
 def _say(console: Console, outcome: Outcome, simulation: Simulation, recorder: Recorder, limit: float | None) -> None:
     console.error_table(recorder.reports)
     if outcome.status == "interrupted":
@@ -207,13 +198,13 @@ def _say(console: Console, outcome: Outcome, simulation: Simulation, recorder: R
 
 
 def _blame(scene: Scene, limit: float | None) -> str:
-    """What made a run unstable, and which setting would hold."""
+    """Return what made a run unstable, and which setting would hold."""
     if limit is not None and scene.cfl > limit:
         return f"cause: the time step; the scheme takes CFL up to {limit:.3g}: try time.cfl={0.9 * limit:.2g}"
     cause = "cause: null-space noise, which grows as particles cross cells; mpipic stability computes how fast"
-    advice = ["filter.kind=local delays it"] if scene.filter.kind == "none" else []
-    advice += [] if scene.mapping.mass == "penalised" else ["--preset recommended avoids it"]
-    return "; ".join([cause, *advice])
+    remedies = ["filter.kind=local delays it"] if scene.filter.kind == "none" else []
+    remedies += [] if scene.mapping.mass == "penalised" else ["--preset recommended avoids it"]
+    return "; ".join([cause, *remedies])
 
 
 def _at_least_a_millisecond(seconds: dict[str, float]) -> dict[str, float]:
