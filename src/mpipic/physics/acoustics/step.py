@@ -58,7 +58,7 @@ class AcousticStep(Rates):
     def __init__(self, sweep: ParticleSweep, gas: Gas, dt: float, scheme: Scheme) -> None:
         self.sweep, self.gas, self.dt, self.scheme, self.grid = sweep, gas, dt, scheme, sweep.grid
         self.factors = (-gas.density, -gas.stiffness)
-        self._increments = sweep.grid.zeros(1 + sweep.grid.dim)
+        self._increments: FloatArray | None = None
 
     # ------------------------------------------------------------ rates
 
@@ -98,12 +98,14 @@ class AcousticStep(Rates):
         sweep.phase("filter")
         state = State(*scheme.mass.start(sweep.held_sums[:, :-1], "state", (1, self.grid.dim), scheme.work))
         sweep.phase("nodes")
+        self._increments = increments = scheme.work("increments", 1 + self.grid.dim)
         with np.errstate(over="ignore", invalid="ignore"):  # in a run that blows up, which is found and stated
             found = scheme.integrate(self, state, self.dt)
-            rates = self._join(found)
+            rates = self._join(found, increments)
             if scheme.damping.acts:
-                rates = self._damp(found, state, rates)
-        sweep.advance(self._increments, rates, direct=scheme.slopes.direct)
+                rates = self._damp(found, state, rates, increments)
+        self._increments = None
+        sweep.advance(increments, rates, direct=scheme.slopes.direct)
 
     @property
     def _columns(self) -> tuple[slice, slice]:
@@ -112,20 +114,24 @@ class AcousticStep(Rates):
         return (vector, scalar) if self.scheme.slopes.direct else (scalar, vector)
 
     def _room_for(self, columns: slice) -> FloatArray | None:
-        """Where coefficients can go at once, if no other gain is looked at before the step ends."""
-        return self._increments[:, columns] if self.scheme.integrate.looks_once else None
+        """Where coefficients can go at once, if within a step no other gain is looked at before it ends."""
+        if self._increments is None or not self.scheme.integrate.looks_once:
+            return None
+        return self._increments[:, columns]
 
-    def _join(self, found: Step) -> tuple[float, float]:
+    def _join(self, found: Step, increments: FloatArray) -> tuple[float, float]:
         """Bring the coefficients of both changes to where `advance` reads them; return their factors."""
         for change, columns in zip((found.density, found.velocity), self._columns, strict=True):
-            place = self._increments[:, columns]
+            place = increments[:, columns]
             if not np.may_share_memory(place, change.coefficients):
                 place[...] = change.coefficients
         return found.density.factor, found.velocity.factor
 
-    def _damp(self, found: Step, state: State, rates: tuple[float, float]) -> tuple[float, float]:
+    def _damp(
+        self, found: Step, state: State, rates: tuple[float, float], increments: FloatArray
+    ) -> tuple[float, float]:
         """Add to the increments what damping changes; return the factors they then have. Collective."""
-        damping, increments = self.scheme.damping, self._increments
+        damping = self.scheme.damping
         # before the increments change, which the gains of the end may lie in
         end = np.concatenate(found.end(), axis=1) if damping.low_pass is not None else None
         for columns, factor in zip(self._columns, rates, strict=True):
@@ -165,7 +171,7 @@ class AcousticStep(Rates):
     def nbytes(self) -> int:
         """Bytes of what the parts hold; work arrays of the stages may come and go."""
         scheme = self.scheme
-        parts = (self._increments, self.sweep, scheme.mass, scheme.slopes, scheme.damping, scheme.work)
+        parts = (self.sweep, scheme.mass, scheme.slopes, scheme.damping, scheme.work)
         return sum(part.nbytes for part in parts)
 
     def facts(self) -> dict[str, int]:
