@@ -1,0 +1,105 @@
+"""Claims about the compiled loops: kept between processes, never stale, and none of the host program's business."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from helpers import ROOT, environment
+
+KERNELS = ROOT / "src" / "mpipic" / "kernels"
+LOCATE = """
+import numpy as np
+from mpipic.kernels.generic import locate
+cell, fraction = np.empty(1, np.int32), np.empty((1, 1))
+zero = np.zeros(1, np.int64)
+locate(np.array([[2.25]]), np.array([1e-9]), zero, zero + 8, cell, fraction)
+print(cell[0], sum(locate.stats.cache_hits.values()), sum(locate.stats.cache_misses.values()))
+"""
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """A copy of the kernels alone, to be edited, with a cache of its own."""
+    shutil.copytree(KERNELS, tmp_path / "mpipic" / "kernels", ignore=shutil.ignore_patterns("__pycache__"))
+    (tmp_path / "mpipic" / "__init__.py").touch()
+    return tmp_path
+
+
+def run(package: Path, code: str, **more: str) -> str:
+    settings = environment(XDG_CACHE_HOME=str(package / "cache"), PYTHONPATH=str(package), **more)
+    ended = subprocess.run([sys.executable, "-c", code], env=settings, text=True, capture_output=True, timeout=120)
+    assert ended.returncode == 0, ended.stderr
+    return ended.stdout + ended.stderr
+
+
+def test_a_second_process_compiles_nothing(package: Path) -> None:
+    """What is printed: the cell, loops found in the cache, loops compiled."""
+    assert run(package, LOCATE).split() == ["2", "0", "1"]
+    assert run(package, LOCATE).split() == ["2", "1", "0"]
+
+
+def test_an_edited_helper_in_another_file_makes_its_callers_compile_anew(package: Path) -> None:
+    assert run(package, LOCATE).split() == ["2", "0", "1"]
+    helper = package / "mpipic" / "kernels" / "common.py"
+    text = helper.read_text()
+    assert "c = np.int32(x + tolerance)" in text
+    helper.write_text(text.replace("c = np.int32(x + tolerance)", "c = np.int32(x + tolerance) + np.int32(1)"))
+    assert run(package, LOCATE).split() == ["3", "0", "1"]
+
+
+def test_the_user_names_the_folder_of_compiled_loops(package: Path) -> None:
+    run(package, LOCATE, NUMBA_CACHE_DIR=str(package / "named"))
+    assert list((package / "named").rglob("*.nbi")) and not (package / "cache").exists()
+
+
+def test_a_folder_that_cannot_be_written_to_costs_time_and_a_warning_only(package: Path) -> None:
+    (package / "cache").write_text("a file where the folder would be")
+    first, *warning = run(package, LOCATE).splitlines()
+    assert first.split() == ["2", "0", "1"]
+    assert any("compiled loops are not kept" in line for line in warning)
+
+
+HOST = """
+import numba
+from numba import config
+before = config.SLP_VECTORIZE, config.CACHE_DIR
+loops = numba.njit(cache=True)(lambda x: x + 1)
+import mpipic.kernels
+from mpipic.kernels import advance, blocks, cells, generic, spline, stencil
+assert (config.SLP_VECTORIZE, config.CACHE_DIR) == before, "importing the loops"
+import numpy as np
+generic.invert(np.ones(3), np.ones(3))
+assert generic.invert.stats.cache_misses, "that compiled"
+assert (config.SLP_VECTORIZE, config.CACHE_DIR) == before, "compiling a loop"
+
+def pair(a, out):
+    i = np.uintp(2 * a.size - 2)
+    out[i], out[i + np.uintp(1)] = a[i] * 3.0, a[i + np.uintp(1)] * 3.0
+
+from mpipic.kernels.common import compiled
+a = np.ones(2)
+ours, theirs = compiled()(pair), numba.njit(error_model="numpy")(pair)
+ours(a, a), theirs(a, a)
+in_vectors = [any("fmul <2 x double>" in text for text in loop.inspect_llvm().values()) for loop in (ours, theirs)]
+assert in_vectors == [True, False], in_vectors
+
+@compiled()
+def bad(a):
+    return a.nothing
+
+try:
+    bad(a)
+except numba.TypingError:
+    assert (config.SLP_VECTORIZE, config.CACHE_DIR) == before, "compiling what does not compile"
+    print("as it was")
+"""
+
+
+def test_the_host_program_keeps_its_options_of_numba_and_compiles_by_them(package: Path) -> None:
+    (package / "host.py").write_text(HOST)
+    assert run(package, "import host").split() == ["as", "it", "was"]
