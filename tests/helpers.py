@@ -17,6 +17,11 @@ from mpipic.runtime import without_launcher
 
 TESTS = Path(__file__).parent
 ROOT = TESTS.parent
+HISTORY_COLUMNS = (
+    "step", "time", "max_density", "density_l1", "density_l2", "density_linf", "velocity_l1", "velocity_l2",
+    "velocity_linf", "null_space_fraction", "seconds",
+)  # fmt: skip
+"""What history.csv holds of acoustics."""
 HANG = 240.0
 """Seconds after which a process counts as hanging: far above what any takes on a machine busy with other work."""
 

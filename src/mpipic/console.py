@@ -83,8 +83,8 @@ class Progress:
     ) -> None:
         return None
 
-    def update(self, step: int, time: float, max_density: float, particle_steps_per_second: float) -> None:
-        """Show time, largest |density| and particles times steps per second after `step`; call it every step."""
+    def update(self, step: int, time: float, peak: float, particle_steps_per_second: float) -> None:
+        """Show time, the watched field's peak and particles times steps per second after `step`; call it every step."""
 
 
 class ProgressLines(Progress):
@@ -92,17 +92,17 @@ class ProgressLines(Progress):
 
     interval = LOG_SECONDS
 
-    def __init__(self, total_steps: int, out: RichConsole) -> None:
-        self.total = total_steps
+    def __init__(self, total_steps: int, watched: str, out: RichConsole) -> None:
+        self.total, self.watched = total_steps, watched
         self.out = out
         self._begin = time.monotonic()
         self._next = self._begin + self.interval
         self._state: tuple[int, float, float, float] = (0, 0.0, float("nan"), float("nan"))
         self._shown = -1
 
-    def update(self, step: int, time: float, max_density: float, particle_steps_per_second: float) -> None:
+    def update(self, step: int, time: float, peak: float, particle_steps_per_second: float) -> None:
         """Keep the state, and print it when its time has come."""
-        self._state = (step, time, max_density, particle_steps_per_second)
+        self._state = (step, time, peak, particle_steps_per_second)
         if _now() >= self._next:
             self._show()
 
@@ -121,8 +121,8 @@ class ProgressLines(Progress):
         _print(self.out, f"step {self._state[0]}/{self.total}  {self._numbers()}  {self._left()}")
 
     def _numbers(self) -> str:
-        _, at, density, rate = self._state
-        return f"t = {at:.6g}  max |ρ| = {density:.3e}  {rate:.3g} particle-steps/s"
+        _, at, peak, rate = self._state
+        return f"t = {at:.6g}  max |{self.watched}| = {peak:.3e}  {rate:.3g} particle-steps/s"
 
     def _left(self) -> str:
         step, spent = self._state[0], _now() - self._begin
@@ -191,11 +191,14 @@ class Console:
             for name, value in lines:
                 _print(self._loud, f"{name:<{width}}  {value}")
 
-    def progress(self, total_steps: int) -> Progress:
-        """Return a context whose `update` is called every step; costs less than 2 µs when nothing is printed."""
+    def progress(self, total_steps: int, watched: str) -> Progress:
+        """Return a context whose `update` is called every step; costs less than 2 µs when nothing is printed.
+
+        watched : symbol of the field whose peak is shown
+        """
         if not self._loud:
             return Progress()
-        return (ProgressBar if self._loud.is_terminal else ProgressLines)(total_steps, self._loud)
+        return (ProgressBar if self._loud.is_terminal else ProgressLines)(total_steps, watched, self._loud)
 
     def error_table(self, reports: Iterable[Report]) -> None:
         """Print error reports: a line a field, with l1, l2 and linf; a share that is None prints as a dash."""

@@ -16,8 +16,7 @@ import matplotlib.image
 import numpy as np
 import pytest
 
-from helpers import ROOT, mpipic, mpipic_here, start
-from mpipic.io.run_directory import HISTORY_COLUMNS
+from helpers import HISTORY_COLUMNS, ROOT, mpipic, mpipic_here, start
 
 PAPER = ROOT / "configs" / "paper.toml"
 # a scene in which particles change rank and every file is written

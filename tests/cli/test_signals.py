@@ -16,8 +16,7 @@ from pathlib import Path
 import h5py
 import pytest
 
-from helpers import ROOT, end, finish, start, start_ranks, wait_until
-from mpipic.io.run_directory import HISTORY_COLUMNS
+from helpers import HISTORY_COLUMNS, ROOT, end, finish, start, start_ranks, wait_until
 
 ENDLESS = [
     "--no-plots", "--set", "grid.cells=[20]", "--set", "gas.flow=[0.5]", "--set", "time.steps=10000000",

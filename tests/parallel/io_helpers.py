@@ -167,7 +167,7 @@ def case_directory(folder: Path) -> None:
     assert paths == [paths[0]] * COMM.size and len(set(paths[0])) == 3, paths
     run = RunDirectory(folder / "x" / "y", COMM)
     run.write_summary({"ranks": COMM.size})
-    run.write_history([{"step": 1}])
+    run.write_history(["step"], [{"step": 1}])
     COMM.Barrier()
     expect_error(lambda: RunDirectory(folder / "x" / "y", COMM), "summary.json", str(folder / "x" / "y"))
 

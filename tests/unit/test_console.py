@@ -56,7 +56,7 @@ REPORT = SimpleNamespace(
 
 def say_everything(voice: Console) -> None:
     voice.banner([("scene", "paper"), ("particles", "200")])
-    with voice.progress(3) as progress:
+    with voice.progress(3, "ρ") as progress:
         progress.update(3, 0.5, 1.25, 2e6)
     voice.error_table([REPORT])
     voice.phase_table({"p2g": 1.0, "g2p": 3.0}, 5.0)
@@ -110,7 +110,7 @@ def test_other_ranks_are_silent_and_never_import_rich(capfd: Any) -> None:
     assert capfd.readouterr() == ("", "")
     code = (
         "import sys; from types import SimpleNamespace as N; from mpipic.console import Console\n"
-        "c = Console(N(rank=1)); c.message('x'); c.progress(1).__enter__().update(1, 0.0, 0.0, 0.0)\n"
+        "c = Console(N(rank=1)); c.message('x'); c.progress(1, 'm').__enter__().update(1, 0.0, 0.0, 0.0)\n"
         "print('rich' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "False\n"
@@ -126,7 +126,7 @@ def test_quiet_keeps_warnings_and_failures_on_standard_error(capfd: Any) -> None
 
 def test_a_log_gets_a_line_every_ten_seconds_and_the_last_state(clock: Clock) -> None:
     out = io.StringIO()
-    with Console(ROOT, out=out).progress(1000) as progress:
+    with Console(ROOT, out=out).progress(1000, "ρ") as progress:
         for step in range(1, 251):
             clock.now += 0.1
             progress.update(step, step * 1e-3, 0.5, 2e6)
@@ -137,7 +137,7 @@ def test_a_log_gets_a_line_every_ten_seconds_and_the_last_state(clock: Clock) ->
 
 def test_the_last_line_is_not_said_twice_and_an_error_in_the_loop_goes_on(clock: Clock) -> None:
     out = io.StringIO()
-    with pytest.raises(ZeroDivisionError), Console(ROOT, out=out).progress(10) as progress:
+    with pytest.raises(ZeroDivisionError), Console(ROOT, out=out).progress(10, "ρ") as progress:
         clock.now += 20.0
         progress.update(10, 1.0, float("nan"), float("inf"))
         raise ZeroDivisionError
@@ -146,14 +146,14 @@ def test_the_last_line_is_not_said_twice_and_an_error_in_the_loop_goes_on(clock:
 
 def test_a_loop_without_steps_says_nothing() -> None:
     out = io.StringIO()
-    with Console(ROOT, out=out).progress(0):
+    with Console(ROOT, out=out).progress(0, "ρ"):
         pass
     assert out.getvalue() == ""
 
 
 def test_a_terminal_gets_a_bar_redrawn_at_most_ten_times_a_second(clock: Clock) -> None:
     out = Terminal()
-    with Console(ROOT, out=out).progress(1000) as progress:
+    with Console(ROOT, out=out).progress(1000, "ρ") as progress:
         before = len(out.getvalue())
         drawn = 0
         for step in range(1, 1001):
@@ -169,7 +169,7 @@ def test_a_terminal_gets_a_bar_redrawn_at_most_ten_times_a_second(clock: Clock) 
 def test_an_update_with_nothing_to_print_costs_less_than_two_microseconds(stream: Any, monkeypatch: Any) -> None:
     monkeypatch.setattr(console.ProgressLines, "interval", 1e6)
     monkeypatch.setattr(console.ProgressBar, "interval", 1e6)
-    with Console(ROOT, out=stream()).progress(10**9) as progress:
+    with Console(ROOT, out=stream()).progress(10**9, "ρ") as progress:
         best = float("inf")
         for _ in range(20):
             begin = time.perf_counter()

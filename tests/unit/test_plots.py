@@ -22,17 +22,16 @@ PNG = b"\x89PNG\r\n\x1a\n"
 
 
 def subject(dim: int) -> Subject:
-    return Subject("pulse", "svd", (1.0,) * dim, (0.1,) * dim)
+    return Subject("pulse", "svd", (1.0,) * dim, (0.1,) * dim, symbols={"density": "ρ", "velocity": "u"})
 
 
-def exact(x: np.ndarray, t: float) -> tuple[np.ndarray, np.ndarray]:
-    return np.cos(2 * np.pi * x[:, 0]) + t, np.sin(2 * np.pi * x)
+def exact(x: np.ndarray, t: float) -> dict[str, np.ndarray]:
+    return {"density": np.cos(2 * np.pi * x[:, 0]) + t, "velocity": np.sin(2 * np.pi * x)}
 
 
 def sample(dim: int, n: int = 300) -> dict[str, np.ndarray]:
     x = np.random.default_rng(1).random((n, dim))
-    density, velocity = exact(x, 0.25)
-    return {"ids": np.arange(n), "position": x, "density": density, "velocity": velocity}
+    return {"ids": np.arange(n), "position": x, **exact(x, 0.25)}
 
 
 @pytest.fixture
@@ -55,12 +54,12 @@ def test_1d_shows_every_particle_and_the_exact_line(tmp_path: Path, figures: lis
     draw_solution(tmp_path / "s.png", subject(1), 0.25, 7, data, exact)
     (figure,) = figures
     assert (tmp_path / "s.png").read_bytes()[:8] == PNG
-    for axes, name, column in zip(figure.axes, ("density", "velocity"), (0, 1)):
+    for axes, name in zip(figure.axes, ("density", "velocity")):
         dots, line = axes.lines
         assert np.array_equal(dots.get_xdata(), data["position"][:, 0])
         assert np.array_equal(dots.get_ydata(), np.ravel(data[name]))
         x = line.get_xdata()
-        assert np.allclose(line.get_ydata(), np.ravel(exact(x[:, None], 0.25)[column]))
+        assert np.allclose(line.get_ydata(), np.ravel(exact(x[:, None], 0.25)[name]))
         assert axes.get_ylabel().startswith(name)
     title = figure.get_suptitle() if hasattr(figure, "get_suptitle") else figure._suptitle.get_text()
     assert all(word in title for word in ("pulse", "svd", "step 7", "t = 0.25"))
@@ -88,7 +87,7 @@ def test_3d_shows_a_slab_the_centre_line_and_parity(tmp_path: Path, figures: lis
     inside = np.abs(data["position"][:, 2] - 0.5) <= 0.055
     assert 1900 <= len(shown) <= np.count_nonzero(inside)
     assert set(map(tuple, shown)) <= set(map(tuple, data["position"][inside][:, :2]))
-    assert np.allclose(line.lines[1].get_ydata(), exact(np.stack([line.lines[1].get_xdata()] * 3, 1), 0.25)[0])
+    assert np.allclose(line.lines[1].get_ydata(), exact(np.stack([line.lines[1].get_xdata()] * 3, 1), 0.25)["density"])
     assert len(line.lines[0].get_xdata()) >= 100
     assert np.allclose(parity.lines[0].get_xdata(), parity.lines[0].get_ydata())
 

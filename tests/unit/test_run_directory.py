@@ -16,9 +16,10 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
+from helpers import HISTORY_COLUMNS
 from mpipic.errors import OutputError
 from mpipic.io import run_directory
-from mpipic.io.run_directory import HISTORY_COLUMNS, RunDirectory
+from mpipic.io.run_directory import RunDirectory
 
 COMM = MPI.COMM_SELF
 SCENE = SimpleNamespace(name="wave", to_toml=lambda: "[grid]\ncells = [4]\n")
@@ -75,7 +76,7 @@ def test_other_ranks_write_nothing(tmp_path: Path) -> None:
     run = RunDirectory(tmp_path, other)
     run.write_scene(SCENE)
     run.write_summary({})
-    run.write_history([])
+    run.write_history(HISTORY_COLUMNS, [])
     assert list(tmp_path.iterdir()) == []
 
 
@@ -110,7 +111,7 @@ def test_history_reads_back_to_the_same_bits_and_none_is_empty(tmp_path: Path) -
         {"step": 0, "time": 0.0, "max_density": np.float64(1 / 3), "density_l2": None},
         {"step": np.int64(10), "time": 0.1 + 0.2, "max_density": np.nan, "density_l2": 5e-324, "extra": "a,b"},
     ]
-    RunDirectory(tmp_path, COMM).write_history(rows)
+    RunDirectory(tmp_path, COMM).write_history(HISTORY_COLUMNS, rows)
     with open(tmp_path / "history.csv", newline="") as stream:
         table = list(csv.DictReader(stream))
     assert tuple(table[0]) == (*HISTORY_COLUMNS, "extra")

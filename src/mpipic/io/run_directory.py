@@ -19,10 +19,6 @@ SCENE, SUMMARY, HISTORY = "scene.toml", "summary.json", "history.csv"
 PARTICLES, ERROR_PLOT, SOLUTION_PLOT = "particles.h5", "error.png", "solution.png"
 PART = ".part"
 RESULTS = (SUMMARY, HISTORY, PARTICLES, PARTICLES + PART)
-HISTORY_COLUMNS = (
-    "step", "time", "max_density", "density_l1", "density_l2", "density_linf", "velocity_l1", "velocity_l2",
-    "velocity_linf", "null_space_fraction", "seconds",
-)  # fmt: skip
 SCENE_HEADER = "# Every value of this run, resolved; run it again with: mpipic run scene.toml\n"
 
 
@@ -83,13 +79,13 @@ class RunDirectory:
         if self._writes:
             write_json(self.path / SUMMARY, summary)
 
-    def write_history(self, rows: Sequence[Mapping[str, object]]) -> None:
+    def write_history(self, columns: Sequence[str], rows: Sequence[Mapping[str, object]]) -> None:
         """Write history.csv, one line a row; None is an empty cell, floats read back to the same bits.
 
-        Columns are `HISTORY_COLUMNS`, then any others in the order in which they appear.
+        After the `columns` come any others of the rows, in the order in which they appear.
         """
         if self._writes:
-            columns = list(dict.fromkeys([*HISTORY_COLUMNS, *(key for row in rows for key in row)]))
+            columns = list(dict.fromkeys([*columns, *(key for row in rows for key in row)]))
             write_csv(self.path / HISTORY, columns, ([row.get(column) for column in columns] for row in rows))
 
 

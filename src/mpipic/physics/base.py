@@ -27,6 +27,8 @@ class Physics(ABC):
     ----------
     watched : str
         The field whose size ends a run when it grows past all bounds.
+    symbols : mapping from name to symbol
+        How pictures and progress abbreviate fields; a field without a symbol goes by its name.
     compared : tuple of names
         Fields that are held against the exact solution.
     shares : tuple of names
@@ -36,6 +38,7 @@ class Physics(ABC):
     """
 
     watched: str
+    symbols: Mapping[str, str] = {}
     compared: tuple[str, ...] = ()
     shares: tuple[str, ...] = ()
     grid: Grid

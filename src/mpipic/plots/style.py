@@ -6,9 +6,9 @@ that are not finite are left out and counted, huge ones are clipped at `HUGE`, t
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
 
@@ -36,12 +36,35 @@ STYLE = {
 
 @dataclass(frozen=True)
 class Subject:
-    """The run that a picture shows: its name and filter, the box and the spacing of its nodes on every axis."""
+    """The run that a picture shows.
+
+    Attributes
+    ----------
+    name, filter
+        Named in the title.
+    length, h
+        The box and the spacing of its nodes on every axis.
+    scalar, vector
+        Which fields of the particles are drawn; no vector: None.
+    symbols
+        Name of a field to its symbol.
+    """
 
     name: str
     filter: str
     length: tuple[float, ...]
     h: tuple[float, ...]
+    scalar: str = "density"
+    vector: str | None = "velocity"
+    symbols: Mapping[str, str] = field(default_factory=dict)
+
+    def symbol(self, name: str) -> str:
+        """Return the symbol of a field, or else its name."""
+        return self.symbols.get(name, name)
+
+    def label(self, name: str) -> str:
+        """Return name and symbol of a field."""
+        return f"{name} {self.symbols[name]}" if name in self.symbols else name
 
     def title(self, ending: str) -> str:
         """Return name, filter and `ending` on one line."""

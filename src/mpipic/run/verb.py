@@ -6,12 +6,13 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from mpipic.console import Console, Progress
 from mpipic.errors import NotConverged
 from mpipic.io.run_directory import ERROR_PLOT, PARTICLES, SOLUTION_PLOT, RunDirectory
 from mpipic.phases import Phases
 from mpipic.run import describe
-from mpipic.run.build import solution_of
 from mpipic.run.diagnostics import ErrorReport
 from mpipic.run.facts import STEP_PHASES, versions
 from mpipic.run.limits import cfl_limit
@@ -20,9 +21,14 @@ from mpipic.run.warmup import compile_loops
 from mpipic.runtime import StopRequest
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from mpi4py import MPI
 
+    from mpipic.arrays import FloatArray
     from mpipic.io.snapshots import ParticleSeries
+    from mpipic.physics.base import Physics
+    from mpipic.plots.solution import Exact
     from mpipic.scene.records import Scene
 
 EXIT_CODES = {"completed": 0, "unstable": 3, "interrupted": 130}
@@ -44,10 +50,10 @@ class Recorder:
         self._peak = peak
         self.progress(step, time)
         seconds, measured = perf_counter() - self._since, report.row() if report else {}
-        self.rows.append({"step": step, "time": time, "max_density": peak, "seconds": seconds, **measured})
+        self.rows.append({"step": step, "time": time, self._peak_column: peak, "seconds": seconds, **measured})
         if report:
             self.reports.append(report)
-            self._directory.write_history(self.rows)
+            self.write_history()
 
     def snapshot(self, step: int, time: float) -> None:
         """Write particles and nodal means. Collective."""
@@ -59,7 +65,7 @@ class Recorder:
         self._series.write(step, time, scene.dt, simulation.particles, simulation.grid, simulation.physics.nodal())
 
     def progress(self, step: int, time: float) -> None:
-        """Show how far the run is; rank 0's clock, the largest density of the last look at all ranks."""
+        """Show how far the run is; rank 0's clock, the peak at the last look at all ranks."""
         rate = self._simulation.total * step / max(perf_counter() - self._since, 1e-9)
         self._progress.update(step, time, self._peak, rate)
 
@@ -67,7 +73,18 @@ class Recorder:
         """Bring snapshots and history to their end. Collective."""
         if self._series is not None:
             self._series.close()
-        self._directory.write_history(self.rows)
+        self.write_history()
+
+    @property
+    def _peak_column(self) -> str:
+        return f"max_{self._simulation.physics.watched}"
+
+    def write_history(self) -> None:
+        """Write the rows so far, with a column for everything that the physics measures. Rank 0 writes."""
+        physics = self._simulation.physics
+        errors = [f"{name}_{norm}" for name in physics.compared for norm in ("l1", "l2", "linf")]
+        columns = ["step", "time", self._peak_column, *errors, *physics.shares, "seconds"]
+        self._directory.write_history(columns, self.rows)
 
 
 def run(scene: Scene, comm: MPI.Comm, output: Path | None, overwrite: bool, console: Console, plots: bool) -> int:
@@ -113,7 +130,9 @@ def _take_steps(
     simulation: Simulation, directory: RunDirectory, console: Console, stop: StopRequest
 ) -> tuple[Outcome, Recorder]:
     """Run to the end, and leave snapshots and history complete, also where a solver gives up. Collective."""
-    with console.progress(simulation.scene.time.steps) as progress:
+    physics = simulation.physics
+    watched = physics.symbols.get(physics.watched, physics.watched)
+    with console.progress(simulation.scene.time.steps, watched) as progress:
         recorder = Recorder(simulation, directory, progress)
         try:
             outcome = simulation.run(recorder, stop)
@@ -191,8 +210,9 @@ def _say(console: Console, outcome: Outcome, simulation: Simulation, recorder: R
     if outcome.blow_up is not None:
         bad, scene = outcome.blow_up, simulation.scene
         console.fail(
-            f"unstable: |density| = {bad.value:.3g} passed {simulation.limit:.3g} at step {bad.step}, "
-            f"t = {bad.step * scene.dt:.6g}, in cell {list(bad.cell)} on rank {bad.rank}; CFL {scene.cfl:.4g}"
+            f"unstable: |{simulation.physics.watched}| = {bad.value:.3g} passed {simulation.limit:.3g} "
+            f"at step {bad.step}, t = {bad.step * scene.dt:.6g}, in cell {list(bad.cell)} on rank {bad.rank}; "
+            f"CFL {scene.cfl:.4g}"
         )
         console.message(_blame(scene, limit))
 
@@ -220,7 +240,23 @@ def _draw(directory: RunDirectory, simulation: Simulation, outcome: Outcome, rec
     sample = gather_sample(simulation.particles, simulation.comm)
     if sample is None:
         return
-    scene, step, exact = simulation.scene, simulation.step, solution_of(simulation.scene)
-    subject = Subject(scene.name, scene.filter.kind, scene.grid.length, scene.h)
+    scene, step, physics = simulation.scene, simulation.step, simulation.physics
+    vector = next((name for name, shape in physics.fields(scene.dim).items() if shape == (scene.dim,)), None)
+    subject = Subject(
+        scene.name, scene.filter.kind, scene.grid.length, scene.h, physics.watched, vector, physics.symbols
+    )
+    known = physics.exact(np.zeros((1, scene.dim)), simulation.time) is not None
+    exact = _exact_of(physics) if known else None
     draw_error(directory.path / ERROR_PLOT, recorder.rows, subject, outcome.status == "unstable")
     draw_solution(directory.path / SOLUTION_PLOT, subject, simulation.time, step, sample, exact)
+
+
+def _exact_of(physics: Physics) -> Exact:
+    """Return the exact solution of a physics that has one, as pictures take it."""
+
+    def exact(points: FloatArray, time: float) -> Mapping[str, FloatArray]:
+        found = physics.exact(points, time)
+        assert found is not None
+        return found
+
+    return exact

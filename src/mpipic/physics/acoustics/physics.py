@@ -70,6 +70,7 @@ class Acoustics(Physics):
     """
 
     watched = "density"
+    symbols: Mapping[str, str] = {"density": "ρ", "velocity": "u"}
     compared = ("density", "velocity")
     shares = ("null_space_fraction",)
 
