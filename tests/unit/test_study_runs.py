@@ -18,7 +18,8 @@ from helpers import HANG
 from mpipic.errors import OutputError
 from mpipic.study import runs as study_runs
 from mpipic.study.file import Study, load
-from mpipic.study.runs import Records, command, environment, launch, run_once, scene_file, write_scenes
+from mpipic.study.records import Records
+from mpipic.study.runs import command, environment, launch, run_once, scene_file, write_scenes
 from mpipic.study.verb import outstanding
 
 

@@ -33,7 +33,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -51,7 +51,7 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
 class Settings(BaseModel):
-    """The keys at the top of a study file; each description completes the sentence 'the value must be ...'."""
+    """Holds the keys at the top of a study file; each description completes the sentence 'the value must be ...'."""
 
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
 
@@ -75,7 +75,7 @@ class Study:
 
     @property
     def title(self) -> str:
-        """As the file says, else its name."""
+        """What the study is called: its `title`, else the name of its file."""
         return self.settings.title or self.name
 
 
@@ -112,8 +112,8 @@ def _read(path: Path) -> str:
         raise SceneError([Problem(escape(str(path)), None, str(error))]) from None
 
 
-def _settings(data: Mapping[str, Any], problems: list[Problem]) -> Settings:
-    """The keys at the top; a wrong one is reported and stands at its default, so that the rest can be checked too."""
+def _settings(data: Mapping[str, object], problems: list[Problem]) -> Settings:
+    """Return the keys at the top; a wrong one is reported and stands at its default: the rest is checked too."""
     fields = Settings.model_fields
     names = (*fields, *TABLES)
     for key in data:
@@ -132,8 +132,8 @@ def _settings(data: Mapping[str, Any], problems: list[Problem]) -> Settings:
     return Settings.model_validate({"until": 1.0, **{key: value for key, value in given.items() if key not in wrong}})
 
 
-def _base_scene(name: str, folder: Path, problems: list[Problem]) -> dict[str, Any] | None:
-    """The base scene's sections as the file gives them; None if it cannot be used."""
+def _base_scene(name: str, folder: Path, problems: list[Problem]) -> dict[str, dict[str, object]] | None:
+    """Return the base scene's sections as the file gives them; None if it cannot be used."""
     if not name:
         return {}
     path = folder / name
@@ -152,7 +152,7 @@ def _base_scene(name: str, folder: Path, problems: list[Problem]) -> dict[str, A
 
 
 def _flat(where: str, table: object, problems: list[Problem]) -> Values:
-    """Keys of a table as dotted names, whether they stand in sections or are dotted already."""
+    """Return keys of a table as dotted names, whether they stand in sections or are dotted already."""
     if not isinstance(table, Mapping):
         problems.append(Problem(where, table, "must be a table of scene keys, for example filter.kind, and ranks"))
         return {}
@@ -169,7 +169,7 @@ def _flat(where: str, table: object, problems: list[Problem]) -> Values:
 
 
 def _reserved(key: str) -> str | None:
-    """Why a study cannot set this key, if so; whether a scene has it is for the scene to say."""
+    """Return why a study cannot set this key, if so; whether a scene has it is for the scene to say."""
     if key == "time.steps" or key.split(".")[0] == "output":
         return "is the study's own: every point takes the steps that `until` needs, and reports at the last"
     if key != RANKS and not re.fullmatch(r"[^.]+\.[^.]+", key):
@@ -177,8 +177,8 @@ def _reserved(key: str) -> str | None:
     return None
 
 
-def _axes(data: Mapping[str, Any], problems: list[Problem]) -> list[Axis]:
-    """The schemes, as the first axis, and the axes; problems where they are empty, repeat or contradict themselves."""
+def _axes(data: Mapping[str, object], problems: list[Problem]) -> list[Axis]:
+    """Return the schemes, as the first axis, and the axes; report those that are empty, repeat or contradict others."""
     axes = []
     if SCHEME in data:
         axes.append(_named_axis(SCHEME, data[SCHEME], problems))
@@ -200,17 +200,18 @@ def _axes(data: Mapping[str, Any], problems: list[Problem]) -> list[Axis]:
     return axes
 
 
-def _key_axis(key: str, values: Any, problems: list[Problem]) -> Axis:
+def _key_axis(key: str, values: object, problems: list[Problem]) -> Axis:
     where = f"axes: {escape(key)}"
     rule = _reserved(key)
-    if rule is None and not (isinstance(values, list) and values):
+    given = values if isinstance(values, list) else []
+    if rule is None and not given:
         rule = 'must be a list of at least one value, for example filter.kind = ["local"] or grid.cells = [[32], [64]]'
-    elif rule is None and len({repr(value) for value in values}) < len(values):
+    elif rule is None and len({repr(value) for value in given}) < len(given):
         rule = "must not hold a value twice"
     if rule:
         problems.append(Problem(where, values, rule))
         return Axis(key, NOTHING)
-    return Axis(key, tuple(Choice(value, {key: value}) for value in values))
+    return Axis(key, tuple(Choice(value, {key: value}) for value in given))
 
 
 def _named_axis(name: str, tables: object, problems: list[Problem]) -> Axis:

@@ -9,7 +9,7 @@ from statistics import linear_regression
 
 
 def front(pairs: Sequence[tuple[float, float]]) -> list[int]:
-    """Indices of the pairs (cost, error) that no other pair beats in one without losing in the other, by rising cost.
+    """Return, by rising cost, the indices of pairs (cost, error) that none beats in one without losing in the other.
 
     Of equal pairs the first counts. O(n log n).
     """
@@ -43,11 +43,11 @@ def fit_order(h: Sequence[float], errors: Sequence[float]) -> Fit:
 
 
 def cheapest(pairs: Sequence[tuple[float, float]], error: float) -> int | None:
-    """Index of the pair (cost, error) of least cost whose error is at most `error`; None if there is none."""
+    """Return the index of the pair (cost, error) of least cost whose error is at most `error`; None without one."""
     return min((i for i, pair in enumerate(pairs) if pair[1] <= error), key=lambda i: pairs[i], default=None)
 
 
 def most_accurate(pairs: Sequence[tuple[float, float]], cost: float) -> int | None:
-    """Index of the pair (cost, error) of least error whose cost is at most `cost`; None if there is none."""
+    """Return the index of the pair (cost, error) of least error whose cost is at most `cost`; None without one."""
     affordable = (i for i, pair in enumerate(pairs) if pair[0] <= cost)
     return min(affordable, key=lambda i: pairs[i][::-1], default=None)

@@ -8,7 +8,6 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 from mpipic.scene.records import Problem, Scene, SceneError
 from mpipic.scene.text import ALTERNATIVES, show
@@ -18,14 +17,17 @@ RESOLUTION = ("grid.cells", "particles.per_cell", "time.cfl", "time.dt")
 SCHEME, RANKS = "scheme", "ranks"
 MOST_STEPS = 10**9
 
-Values = dict[str, Any]
+Values = dict[str, object]
+"""Dotted scene key, or ranks, to value."""
+Sections = Mapping[str, Mapping[str, object]]
+"""Name of a section to its keys and values."""
 
 
 @dataclass(frozen=True)
 class Choice:
     """One value of an axis: what tables call it, and the scene keys (and ranks) that it sets."""
 
-    value: Any
+    value: object
     settings: Values
 
 
@@ -42,12 +44,12 @@ class Axis:
 
     @property
     def keys(self) -> set[str]:
-        """Everything that any of its choices sets."""
+        """All that any of its choices sets."""
         return {key for choice in self.choices for key in choice.settings}
 
     @property
     def refines(self) -> bool:
-        """Whether its choices are resolutions of one scheme."""
+        """Whether its choices are resolutions of one scheme, and not schemes."""
         return bool(self.keys) and self.keys <= set(RESOLUTION)
 
 
@@ -71,23 +73,23 @@ class Point:
 
     @property
     def id(self) -> str:
-        """Digest of everything that the run depends on: the resolved scene and the number of ranks."""
+        """A digest of all that the run depends on: the resolved scene and the number of ranks."""
         content = json.dumps([self.scene.to_dict(), self.ranks], sort_keys=True)
         return hashlib.sha256(content.encode()).hexdigest()[:12]
 
     @property
     def label(self) -> str:
-        """Scheme and resolution."""
+        """What tables call the point: scheme and resolution."""
         return ", ".join(filter(None, (self.scheme, self.resolution))) or "the only point"
 
     def apart_from(self, axis: str) -> str:
-        """Equal for points of one dimension that differ only in the value of this axis."""
+        """Return a text that is equal for points of one dimension that differ only in the value of this axis."""
         rest = {name: value for name, value in self.values.items() if name != axis}
         return json.dumps([self.scene.dim, rest], sort_keys=True, default=str)
 
 
 def fit_steps(until: float, dt: float) -> tuple[int, float]:
-    """The fewest steps of at most `dt`, and their dt, for which steps times dt is `until` to the last bit.
+    """Return the fewest steps of at most `dt`, and their dt, for which steps times dt is `until` to the last bit.
 
     About half of all numbers of steps have such a dt, so that a few steps may be added.
     """
@@ -100,8 +102,8 @@ def fit_steps(until: float, dt: float) -> tuple[int, float]:
     return fewest, until / fewest
 
 
-def words(key: str, value: Any) -> str:
-    """A value as labels show it: `64 cells`, `2 x 2 a cell`, `CFL 0.1`, `2 ranks`, `local`, `order 5`."""
+def words(key: str, value: object) -> str:
+    """Return a value as labels show it: `64 cells`, `2 x 2 a cell`, `CFL 0.1`, `2 ranks`, `local`, `order 5`."""
     if isinstance(value, str):
         return value
     text = " x ".join(map(show, value)) if isinstance(value, (list, tuple)) else show(value)
@@ -111,21 +113,19 @@ def words(key: str, value: Any) -> str:
     return forms.get(key, key.split(".")[-1].replace("_", " ") + " {}").format(text)
 
 
-def expand(
-    data: Mapping[str, Any], base: Values, axes: Sequence[Axis], until: float, problems: list[Problem]
-) -> list[Point]:
-    """Every combination that is a scene; of the others, each problem once, with how many points have it."""
+def expand(data: Sections, base: Values, axes: Sequence[Axis], until: float, problems: list[Problem]) -> list[Point]:
+    """Return every combination that is a scene; report each problem of the others once, and how many have it."""
     points: list[Point] = []
     found: dict[str, tuple[Problem, list[str]]] = {}
     combinations = list(itertools.product(*(axis.choices for axis in axes)))
     for chosen in combinations:
         scheme, resolution = _labels(axes, chosen)
         settings = {key: value for choice in chosen for key, value in choice.settings.items()}
-        ranks = settings.pop(RANKS, base.get(RANKS, 1))
+        asked = settings.pop(RANKS, base.get(RANKS, 1))
         values = {axis.name: choice.value for axis, choice in zip(axes, chosen, strict=True)}
         try:
             scene = _scene(data, {k: v for k, v in base.items() if k != RANKS}, settings, until)
-            _check(scene, ranks)
+            ranks = _check(scene, asked)
             points.append(Point(values, scheme, resolution, scene, ranks))
         except SceneError as error:
             for problem in error.problems:
@@ -143,15 +143,15 @@ def _where(labels: list[str], total: int) -> str:
 
 
 def _labels(axes: Sequence[Axis], chosen: Sequence[Choice]) -> tuple[str, str]:
-    """Scheme and resolution in words, from the axes that offer a choice."""
+    """Return scheme and resolution in words, from the axes that offer a choice."""
     offered = [(axis, choice) for axis, choice in zip(axes, chosen, strict=True) if len(axis.choices) > 1]
     scheme = [words(axis.name, choice.value) for axis, choice in offered if not axis.refines]
     resolution = [words(axis.name, choice.value) for axis, choice in offered if axis.refines]
     return ", ".join(scheme), ", ".join(resolution)
 
 
-def _scene(data: Mapping[str, Any], base: Values, settings: Values, until: float) -> Scene:
-    """The scene of one point, with the steps and the dt that end at `until`."""
+def _scene(data: Sections, base: Values, settings: Values, until: float) -> Scene:
+    """Return the scene of one point, with the steps and the dt that end at `until`."""
     merged = {name: dict(table) for name, table in data.items() if name != "output"}
     for layer in (base, settings):
         for key, value in layer.items():
@@ -170,17 +170,18 @@ def _scene(data: Mapping[str, Any], base: Values, settings: Values, until: float
     return Scene.from_dict({**merged, "time": {**time, "dt": dt, "steps": steps}})
 
 
-def _check(scene: Scene, ranks: object) -> None:
-    """What a study asks of a scene beyond what a run does."""
+def _check(scene: Scene, ranks: object) -> int:
+    """Return the number of ranks; raise SceneError if it is none, or the scene cannot be run on it or in a study."""
     if isinstance(ranks, bool) or not isinstance(ranks, int) or ranks < 1:
         raise SceneError([Problem(RANKS, ranks, "must be a whole number, 1 or above")])
     scene.check_ranks(ranks)
     if scene.initial.profile == "file":
         raise SceneError([Problem("initial.profile", "file", "has no exact solution to compare with")])
+    return ranks
 
 
 def differing(points: Sequence[Point]) -> Iterator[str]:
-    """Scene keys in which the points differ, ranks among them."""
+    """Yield the scene keys in which the points differ, ranks among them."""
     scenes = [{**_dotted(point.scene), RANKS: point.ranks} for point in points]
     for key in dict.fromkeys(key for scene in scenes for key in scene):
         if any(scene.get(key) != scenes[0].get(key) for scene in scenes):

@@ -8,7 +8,6 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
 
 from mpipic.files import write_csv
 from mpipic.plots.work_precision import Mark
@@ -17,7 +16,7 @@ from mpipic.scene.text import show
 from mpipic.study.file import NORMS, QUANTITIES, Study
 from mpipic.study.pareto import Fit, fit_order, front
 from mpipic.study.points import Axis, Point
-from mpipic.study.runs import COMPLETED, UNSTABLE, Record
+from mpipic.study.records import COMPLETED, UNSTABLE, Errors, Machine, Record
 
 CSV, JSON = "study.csv", "study.json"
 NOT_RUN = "not run"
@@ -36,7 +35,7 @@ class Spread:
 
     @classmethod
     def over(cls, values: Sequence[float]) -> Spread:
-        """Of at least one value."""
+        """Return the spread of at least one value."""
         return cls(statistics.median(values), min(values), max(values))
 
 
@@ -69,7 +68,7 @@ class Row:
     time: float | None = None
     particles: int | None = None
     nodes: int | None = None
-    errors: dict[str, dict[str, float]] = field(default_factory=dict)
+    errors: Errors = field(default_factory=dict)
     error: float | None = None
     on_front: bool = False
 
@@ -94,19 +93,18 @@ def row_of(point: Point, runs: Sequence[Record], norm: str) -> Row:
         return Row(point, NOT_RUN)
     first = counted[0]
     row = Row(point, first["status"], first.get("message", ""), len(runs))
-    for name in ("steps", "time", "particles", "nodes"):
-        setattr(row, name, first.get(name))
+    row.steps, row.time = first.get("steps"), first.get("time")
+    row.particles, row.nodes = first.get("particles"), first.get("nodes")
     row.peak_memory = max(run["peak_memory"] for run in counted) or None
-    timed = [run for run in counted if run.get("seconds")]
-    if timed:
-        row.seconds, row.total_seconds = (Spread.over([run["seconds"][k] for run in timed]) for k in ("step", "total"))
-        row.phases = {
-            name: statistics.median(run["seconds"]["phases"].get(name, 0.0) for run in timed)
-            for name in timed[0]["seconds"]["phases"]
-        }
-        row.rate = statistics.median(run["particle_steps_per_second"] for run in timed)
-    if first.get("errors"):
-        row.errors = {quantity: first["errors"][quantity] for quantity in QUANTITIES}
+    clocks = [clock for run in counted if (clock := run.get("seconds"))]
+    if clocks:
+        row.seconds = Spread.over([clock["step"] for clock in clocks])
+        row.total_seconds = Spread.over([clock["total"] for clock in clocks])
+        names = clocks[0]["phases"]
+        row.phases = {name: statistics.median(clock["phases"].get(name, 0.0) for clock in clocks) for name in names}
+        row.rate = statistics.median([run.get("particle_steps_per_second") or 0.0 for run in counted])
+    if errors := first.get("errors"):
+        row.errors = {quantity: errors[quantity] for quantity in QUANTITIES}
         quantity, measure = norm.split(".")
         error = row.errors[quantity][measure]
         row.error = error if error is not None and math.isfinite(error) else None
@@ -114,7 +112,7 @@ def row_of(point: Point, runs: Sequence[Record], norm: str) -> Row:
 
 
 def sum_up(study: Study, runs: Sequence[Sequence[Record]]) -> list[Row]:
-    """A row for each point of the study, those on the Pareto front marked."""
+    """Return a row for each point of the study, those on the Pareto front marked."""
     rows = [row_of(point, of_it, study.settings.error) for point, of_it in zip(study.points, runs, strict=True)]
     stable, pairs = stable_pairs(rows)
     for index in front(pairs):
@@ -123,7 +121,7 @@ def sum_up(study: Study, runs: Sequence[Sequence[Record]]) -> list[Row]:
 
 
 def stable_pairs(rows: Sequence[Row]) -> tuple[list[Row], list[tuple[float, float]]]:
-    """The rows that may be recommended, and their (seconds, error)."""
+    """Return the rows that may be recommended, and their (seconds, error)."""
     stable = [row for row in rows if row.is_stable and row.seconds]
     return stable, [(row.seconds.median, row.error) for row in stable if row.seconds and row.error is not None]
 
@@ -141,7 +139,7 @@ class Order:
 
 
 def floor(scene: Scene, steps: int) -> float:
-    """An estimate of the error that no scheme gets below: rounding that adds up over the steps, and the solver's.
+    """Return an estimate of the error that no scheme gets below: rounding that adds up over steps, and the solver's.
 
     2.2e-16 steps + filter.tolerance where a solver is used, for solutions of size 1, as the profiles are.
     """
@@ -150,7 +148,7 @@ def floor(scene: Scene, steps: int) -> float:
 
 
 def orders(rows: Sequence[Row]) -> list[Order]:
-    """Orders of convergence wherever at least three errors are ten times above the floor."""
+    """Return orders of convergence wherever at least three errors are ten times above the floor."""
     families: dict[str, list[Row]] = {}
     for row in rows:
         if CELLS in row.point.values and row.is_stable and row.error:
@@ -180,21 +178,25 @@ MEASURED = (
 )  # fmt: skip
 
 
-def columns(row: Row) -> dict[str, Any]:
-    """What was measured at a point, flat."""
-    point, seconds, total = row.point, row.seconds, row.total_seconds
+def columns(row: Row) -> dict[str, str | float | None]:
+    """Return what was measured at a point, by column of the tables."""
+    point = row.point
     return {
         "id": point.id, "label": point.label, "scheme": point.scheme, "resolution": point.resolution,
         "status": row.status, "ranks": point.ranks, "particles": row.particles, "nodes": row.nodes,
         "h": min(point.scene.h), "dt": point.scene.dt, "cfl": point.scene.cfl, "steps": row.steps, "time": row.time,
         **{f"{quantity}_{norm}": row.errors.get(quantity, {}).get(norm) for quantity in QUANTITIES for norm in NORMS},
         "repeats": row.repeats,
-        "seconds": seconds and seconds.median, "seconds_min": seconds and seconds.least,
-        "seconds_max": seconds and seconds.largest, "total_seconds": total and total.median,
-        "total_seconds_min": total and total.least, "total_seconds_max": total and total.largest,
+        **_spread("seconds", row.seconds), **_spread("total_seconds", row.total_seconds),
         "particle_steps_per_second": row.rate, "peak_memory": row.peak_memory, "on_front": row.on_front,
         "message": row.message,
     }  # fmt: skip
+
+
+def _spread(name: str, spread: Spread | None) -> dict[str, float | None]:
+    """Return the columns of a median with its least and largest value; None where nothing was measured."""
+    values = (spread.median, spread.least, spread.largest) if spread else (None, None, None)
+    return dict(zip((name, f"{name}_min", f"{name}_max"), values, strict=True))
 
 
 def write_table(path: Path, study: Study, rows: Sequence[Row]) -> None:
@@ -219,7 +221,7 @@ class Origin:
     """Where results come from: the command that reproduces them, the machine, and the versions of what ran there."""
 
     command: str
-    machine: Mapping[str, object]
+    machine: Machine
     versions: Mapping[str, str]
 
 
@@ -245,13 +247,13 @@ def content(study: Study, rows: Sequence[Row], runs: Sequence[Sequence[Record]],
 
 
 def joined(study: Study) -> Axis | None:
-    """The axis along which the picture joins points: grid.cells, else the first that refines schemes."""
+    """Return the axis along which the picture joins points: grid.cells, else the first that refines schemes."""
     refining = [axis for axis in study.axes if axis.refines and len(axis.choices) > 1]
     return next((axis for axis in refining if axis.name == CELLS), next(iter(refining), None))
 
 
 def marks(study: Study, rows: Sequence[Row]) -> list[Mark]:
-    """The points that belong in the picture: completed, and unstable ones at the time that all steps would take."""
+    """Return what belongs in the picture: completed points, and unstable ones at the time that all steps would take."""
     axis = joined(study)
     found = []
     for row in rows:

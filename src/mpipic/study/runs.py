@@ -1,11 +1,10 @@
-"""Running the points of a study, each in a process of its own, and keeping what every run says, line by line.
+"""Running the points of a study, each in a process of its own.
 
 A run that crashes, blows up, or takes too long is a record like any other. Nothing here starts MPI.
 """
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import platform
@@ -22,25 +21,32 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, cast
 
 import psutil
 
-from mpipic.errors import OutputError
-from mpipic.files import Unreadable, plain, read_text, to_json, write_text
+from mpipic.files import Unreadable, read_text, write_text
 from mpipic.io.run_directory import SUMMARY
 from mpipic.runtime import RANKS, without_launcher
 from mpipic.scene.text import escape
 from mpipic.study.points import Point
+from mpipic.study.records import (
+    COMPLETED,
+    CRASHED,
+    NOT_CONVERGED,
+    REFUSED,
+    TIMEOUT,
+    UNSTABLE,
+    Errors,
+    Machine,
+    Record,
+    Told,
+)
 
-COMPLETED, UNSTABLE, TIMEOUT, CRASHED = "completed", "unstable", "timeout", "crashed"
-NOT_CONVERGED, REFUSED = "not converged", "refused"
 STATUS_OF_CODE = {0: COMPLETED, 2: REFUSED, 3: UNSTABLE, 4: NOT_CONVERGED}
-FAILED = (TIMEOUT, CRASHED, NOT_CONVERGED, REFUSED)
-POINTS, SCENES = "points.jsonl", "scenes"
+SCENES = "scenes"
 LOOK, GRACE, KILLED = 0.02, 10.0, 1.0
 """Seconds between looks at a run, that it has to end when asked, and that what was killed may take to go."""
-KEPT = ("steps", "time", "ranks", "particles", "nodes", "seconds", "particle_steps_per_second", "blow_up", "versions")
 # What Open MPI's and MPICH's launchers leave in their processes: a launcher among them would take itself for a rank.
 LAUNCHED = (
     "OMPI_COMM_WORLD_", "OMPI_MCA_orte_", "OMPI_MCA_ess", "OMPI_MCA_pmix", "OMPI_MCA_initial_wdir", "OMPI_APP_CTX",
@@ -48,11 +54,9 @@ LAUNCHED = (
     "OMPI_ARGV", "PMIX_", "PMI_", "PMI2_", "MV2_COMM_WORLD_", "MPI_LOCAL", "HYDI_",
 )  # fmt: skip
 
-Record = dict[str, Any]
-
 
 def launcher() -> list[str] | None:
-    """The command that starts ranks: this environment's own, the one that MPIPIC_MPIEXEC names, or mpiexec on PATH."""
+    """Return what starts ranks: this environment's own mpiexec, what MPIPIC_MPIEXEC names, or the mpiexec on PATH."""
     own = Path(sys.prefix) / "bin" / "mpiexec"
     if own.exists():
         return [str(own)]
@@ -62,13 +66,13 @@ def launcher() -> list[str] | None:
 
 
 def command(ranks: int, *arguments: str) -> list[str]:
-    """`mpipic ARGUMENTS` on so many ranks; one rank needs no launcher."""
+    """Return the words of `mpipic ARGUMENTS` on so many ranks; one rank needs no launcher."""
     alone = [sys.executable, "-m", "mpipic", *arguments]
     return alone if ranks == 1 else [*(launcher() or ["mpiexec"]), "-n", str(ranks), *alone]
 
 
 def environment(ranks: int) -> dict[str, str]:
-    """This process's environment for a launcher: nothing of one above it, more ranks than cores and root allowed."""
+    """Return this process's environment for a launcher: nothing of one above it, many ranks and root allowed."""
     found = dict(os.environ)
     if any(name in found for name in RANKS):
         isolated = found.get("OMPI_MCA_ess_singleton_isolated")
@@ -119,7 +123,7 @@ def _watch() -> list[str]:
 
 
 def _wait(process: subprocess.Popen[bytes], deadline: float) -> int | None:
-    """The peak memory of a process that ends before the deadline, else None."""
+    """Return the peak memory of a process that ends before the deadline, else None."""
     while True:
         pid, status, usage = os.wait4(process.pid, os.WNOHANG)
         if pid:
@@ -167,15 +171,17 @@ def run_once(point: Point, scene_file: Path, repeat: int, timeout: float) -> Rec
     if status in (COMPLETED, UNSTABLE) and summary.get("status") != status:
         status = CRASHED
     errors = summary.get("errors") if status == COMPLETED else None
+    told = cast(Told, {name: summary.get(name) for name in Told.__annotations__})
     return {
-        "id": point.id, "repeat": repeat, "status": status, "message": _message(status, ended, said),
-        **{name: summary.get(name) for name in KEPT}, "errors": errors[-1] if errors else None,
+        **told, "id": point.id, "repeat": repeat, "status": status, "message": _message(status, ended, said),
+        "errors": cast("list[Errors]", errors)[-1] if errors else None,
         "wall_seconds": ended.seconds, "peak_memory": ended.peak_memory, "timeout": timeout,
         "finished": time.strftime("%Y-%m-%dT%H:%M:%S%z"), "machine": machine(),
     }  # fmt: skip
 
 
-def _summary(path: Path) -> dict[str, Any]:
+def _summary(path: Path) -> Mapping[str, object]:
+    """Return what a run's summary.json holds, nothing where there is none."""
     try:
         content = json.loads(path.read_text("utf-8"))
     except (OSError, ValueError):
@@ -184,7 +190,7 @@ def _summary(path: Path) -> dict[str, Any]:
 
 
 def _message(status: str, ended: Ended, said: str) -> str:
-    """Why a run did not complete: its own words, else how it ended."""
+    """Return why a run did not complete: its own words, else how it ended."""
     if status == COMPLETED:
         return ""
     if status == TIMEOUT:
@@ -197,74 +203,8 @@ def _message(status: str, ended: Ended, said: str) -> str:
     return escape("; ".join(own)[:500] or how) if status != CRASHED else escape("; ".join([how, *own])[:500])
 
 
-class Records:
-    """Every run in DIR/points.jsonl, a line each, forced to disk as it ends; of two lines for one run the later counts.
-
-    Raises
-    ------
-    OutputError
-        Another study is writing there, or the folder cannot be written.
-    """
-
-    def __init__(self, folder: Path, fresh: bool = False) -> None:
-        try:
-            self._file = (folder / POINTS).open("a+b")
-        except OSError as error:
-            raise OutputError(f"output folder {folder} cannot be used: {error.strerror or error}") from None
-        try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            self._file.close()
-            raise OutputError(f"another study is writing to {folder}: wait for it, or name another --output") from None
-        except OSError:
-            pass  # a file system without locks
-        if fresh:
-            self._file.truncate(0)
-        self._runs: dict[str, dict[int, Record]] = {}
-        self._file.seek(0)
-        whole = 0
-        for line in self._file:
-            whole += len(line) if line.endswith(b"\n") else 0
-            record = _parse(line)
-            if record is not None:
-                self._runs.setdefault(record["id"], {})[record["repeat"]] = record
-        self._file.truncate(whole)  # what a power failure left of a last line
-
-    def of(self, point: Point) -> list[Record]:
-        """The runs of a point so far, by number of repeat, of any study in this folder."""
-        return [record for _, record in sorted(self._runs.get(point.id, {}).items())]
-
-    def add(self, record: Record) -> None:
-        """Keep a run."""
-        content = {key: plain(value) for key, value in record.items()}
-        self._file.write((to_json(content) + "\n").encode())
-        self._file.flush()
-        os.fsync(self._file.fileno())
-        self._runs.setdefault(record["id"], {})[record["repeat"]] = content
-
-    def forget(self, points: Sequence[Point], timeout: float, statuses: Sequence[str] = ()) -> None:
-        """Let runs of these points be done again that ended so, or that were given less time than `timeout`."""
-        for point in points:
-            for record in self.of(point):
-                late = record["status"] == TIMEOUT and record["timeout"] < timeout
-                if late or record["status"] in statuses:
-                    del self._runs[point.id][record["repeat"]]
-
-    def close(self) -> None:
-        """Let others write."""
-        self._file.close()
-
-
-def _parse(line: bytes) -> Record | None:
-    try:
-        record = json.loads(line)
-    except ValueError:
-        return None
-    return record if isinstance(record, dict) and {"id", "status", "repeat"} <= set(record) else None
-
-
 def write_scenes(folder: Path, points: Sequence[Point]) -> None:
-    """A scene file for every point, to run it again by hand."""
+    """Write a scene file for every point, to run it again by hand."""
     (folder / SCENES).mkdir(parents=True, exist_ok=True)
     for point in points:
         launch_with = f"mpiexec -n {point.ranks} " if point.ranks > 1 else ""
@@ -273,13 +213,13 @@ def write_scenes(folder: Path, points: Sequence[Point]) -> None:
 
 
 def scene_file(folder: Path, point: Point) -> Path:
-    """Where the scene of a point is."""
+    """Return where the scene of a point is."""
     return folder.absolute() / SCENES / f"{point.id}.toml"
 
 
 @cache
-def machine() -> dict[str, Any]:
-    """This machine: processor, whole cores and threads that this process may use, memory, system."""
+def machine() -> Machine:
+    """Return facts of this machine: processor, whole cores and threads that this process may use, memory, system."""
     own = psutil.Process()
     threads = len(own.cpu_affinity()) if hasattr(own, "cpu_affinity") else psutil.cpu_count() or 1
     return {

@@ -9,7 +9,6 @@ from __future__ import annotations
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from mpipic.console import Console, duration
 from mpipic.errors import OutputError
@@ -20,6 +19,7 @@ from mpipic.study import report
 from mpipic.study.file import Study, load
 from mpipic.study.pareto import cheapest, most_accurate
 from mpipic.study.points import Point, words
+from mpipic.study.records import COMPLETED, FAILED, UNSTABLE, Record, Records
 from mpipic.study.results import (
     CSV,
     JSON,
@@ -34,19 +34,7 @@ from mpipic.study.results import (
     sum_up,
     write_table,
 )
-from mpipic.study.runs import (
-    COMPLETED,
-    FAILED,
-    SCENES,
-    UNSTABLE,
-    Records,
-    interruptible,
-    launcher,
-    machine,
-    run_once,
-    scene_file,
-    write_scenes,
-)
+from mpipic.study.runs import SCENES, interruptible, launcher, machine, run_once, scene_file, write_scenes
 
 PICTURE = "work-precision.png"
 INTERRUPTED, NOTHING_CAME_OF_IT = 130, 1
@@ -120,7 +108,7 @@ def _clear(folder: Path) -> None:
 
 
 def outstanding(study: Study, records: Records) -> list[tuple[Point, int]]:
-    """What is still to be run, (point, repeat), in order: every point once, then again; never what has failed."""
+    """Return what is still to be run, (point, repeat): every point once, then again; never what has failed."""
     first: dict[str, Point] = {point.id: point for point in study.points}
     found = []
     for repeat in range(1, study.settings.repeats + 1):
@@ -153,12 +141,13 @@ def _run_all(study: Study, folder: Path, records: Records, console: Console) -> 
     return True
 
 
-def _outcome(record: dict[str, Any], study: Study) -> str:
-    if record["status"] != COMPLETED:
+def _outcome(record: Record, study: Study) -> str:
+    clock, errors = record.get("seconds"), record["errors"]
+    if record["status"] != COMPLETED or clock is None or errors is None:
         return f"{record['status']}: {record['message']}"
     quantity, norm = study.settings.error.split(".")
-    error = record["errors"][quantity][norm]
-    spent = f"{record['seconds']['step']:.3g} s of stepping, {duration(record['wall_seconds'])} in all"
+    error = errors[quantity][norm]
+    spent = f"{clock['step']:.3g} s of stepping, {duration(record['wall_seconds'])} in all"
     return f"error {'not finite' if error is None else f'{error:.3e}'}, {spent}"
 
 
@@ -185,7 +174,7 @@ def parse_aims(texts: Sequence[str]) -> list[tuple[str, float]]:
 
 
 def recommend(rows: Sequence[Row], aim: str, value: float, folder: Path) -> str:
-    """The cheapest completed point that reaches an error, or the most accurate within the seconds of stepping."""
+    """Return in words the cheapest completed point that reaches an error, or the most accurate within the seconds."""
     stable, pairs = stable_pairs(rows)
     wish = f"for an error of at most {value:g}" if aim == "error" else f"within {value:g} s of stepping"
     if not stable:
@@ -209,9 +198,9 @@ def _pair(seconds: float, error: float) -> str:
 # ------------------------------------------------------------ results
 
 
-def _write(study: Study, folder: Path, rows: Sequence[Row], runs: Sequence[Sequence[Any]], command: str) -> None:
+def _write(study: Study, folder: Path, rows: Sequence[Row], runs: Sequence[Sequence[Record]], command: str) -> None:
     every = [record for of_it in runs for record in of_it]
-    versions: dict[str, str] = next((r["versions"] for r in reversed(every) if r.get("versions")), {})
+    versions = next((told for record in reversed(every) if (told := record.get("versions"))), {})
     origin = Origin(command, every[-1]["machine"] if every else machine(), versions)
     write_table(folder / CSV, study, rows)
     write_json(folder / JSON, content(study, rows, runs, origin))
@@ -221,7 +210,7 @@ def _write(study: Study, folder: Path, rows: Sequence[Row], runs: Sequence[Seque
 
 
 def _note(study: Study, rows: Sequence[Row]) -> str:
-    """What joined points have in common, and how many points the picture leaves out, and why."""
+    """Return what joined points have in common, and how many points the picture leaves out, and why."""
     axis = joined(study)
     along = [words(axis.name, choice.value) for choice in axis.choices] if axis else []
     along = [*(text.removesuffix(" cells") for text in along[:-1]), *along[-1:]]
@@ -247,14 +236,14 @@ def _say(study: Study, rows: Sequence[Row], console: Console) -> None:
             console.warning(f"{row.point.label}: {row.status}: {row.message}")
 
 
-def _warn_of_mixture(runs: Sequence[Sequence[Any]], console: Console) -> None:
-    """Times of two machines, or of two versions, are no comparison."""
+def _warn_of_mixture(runs: Sequence[Sequence[Record]], console: Console) -> None:
+    """Warn where times of two machines, or of two versions, are compared."""
     every = [record for of_it in runs for record in of_it]
-    versions: set[str] = {str(sorted(record["versions"].items())) for record in every if record.get("versions")}
+    versions = {str(sorted(told.items())) for record in every if (told := record.get("versions"))}
     places = {(record["machine"]["processor"], record["machine"]["cores"]) for record in every}
-    for found, what in ((places, "machines"), (versions, "sets of versions")):
-        if len(found) > 1:
-            console.warning(f"these are runs of {len(found)} different {what}; --fresh measures everything again")
+    for count, what in ((len(places), "machines"), (len(versions), "sets of versions")):
+        if count > 1:
+            console.warning(f"these are runs of {count} different {what}; --fresh measures everything again")
 
 
 def _cells(row: Row) -> list[str]:
