@@ -1,4 +1,4 @@
-"""What a run says while it runs: rank 0 speaks, every other rank stays silent and never imports rich.
+"""A run speaks while it runs: rank 0 speaks, every other rank stays silent and never imports rich.
 
 On a terminal, colours and a live bar; anywhere else, plain lines that a log can keep.
 """

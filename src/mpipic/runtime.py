@@ -19,7 +19,7 @@ RANKS = ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "MV2_COMM_WORLD_RANK")
 ANNOUNCED = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "MV2_COMM_WORLD_SIZE")
 STOP_SIGNALS = ("SIGINT", "SIGTERM", "SIGUSR1")
 BANNER = re.compile(r"^-{60,}\n(?:.*\n)*?-{60,}\n?", re.MULTILINE)
-"""What Open MPI says between two rules, such as that a rank has failed."""
+"""Matches what Open MPI says between two rules, such as that a rank has failed."""
 FOREIGN = re.compile(
     r"\[?hwloc\b|\*"  # hwloc where it does not understand the machine: a line, or a box of stars
     r"|\[[^\]]+:\d+\] (?:\d+ more process|Set MCA parameter)"  # Open MPI on banners that it has left out
@@ -42,7 +42,7 @@ def settle() -> None:
 
 @dataclass(frozen=True)
 class Launched:
-    """What a launcher says of this process: its rank, of how many."""
+    """A launcher tells a process this: its rank, of how many."""
 
     rank: int
     size: int

@@ -1,1 +1,1 @@
-"""What a scheme does, in numbers: growth, spectra, costs, trials."""
+"""Numbers about schemes: growth, spectra, costs, trials."""

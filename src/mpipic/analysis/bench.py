@@ -34,7 +34,7 @@ FLOW, CFL = 0.05, 0.1
 
 @dataclass(frozen=True)
 class Plan:
-    """What to time: every dimension with every filter, about `particles` particles in all, `per_cell` to a cell."""
+    """Every dimension with every filter is timed, with about `particles` particles in all, `per_cell` to a cell."""
 
     dims: tuple[int, ...]
     particles: int
@@ -48,7 +48,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Timing:
-    """One row: medians over the samples, and the spread of what is quoted."""
+    """A row of the tables: medians over the samples, and the spread of what is quoted."""
 
     dim: int
     filter: str

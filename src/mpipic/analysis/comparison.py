@@ -38,11 +38,11 @@ class Row:
     Attributes
     ----------
     setup_seconds
-        Of what positions determine, paid again whenever particles move: the first application less a usual one.
+        Time of what positions determine, paid again whenever particles move: the first application less a usual one.
     seconds, spread
-        Of one application: median, and fastest and slowest.
+        Time of one application: median, and fastest and slowest.
     messages, reductions
-        Of one application, on all ranks together; nothing is sent on one rank.
+        Traffic of one application, on all ranks together; nothing is sent on one rank.
     distance
         ‖F q - P q‖ / ‖q‖, P the reference.
     null_space_share
@@ -50,7 +50,7 @@ class Row:
     sum_error
         |Σ F q - Σ q| / Σ |q|.
     facts
-        What the filter says about itself: iterations, rank and gap.
+        Words of the filter about itself: iterations, rank and gap.
     """
 
     filter: str
@@ -85,12 +85,12 @@ class Comparison:
         self.projected = self._projector.apply(self.q)
 
     def norm(self, q: FloatArray) -> float:
-        """Euclidean norm over all ranks. Collective."""
+        """Return the Euclidean norm over all ranks. Collective."""
         return float(np.sqrt(self.comm.allreduce(float(q @ q))))
 
     @property
     def unfiltered_share(self) -> float:
-        """‖(1 - P) q‖ / ‖q‖ of the noise itself. Collective."""
+        """The share of the noise itself that no node sees, ‖(1 - P) q‖ / ‖q‖. Collective."""
         return self.norm(self.q - self.projected) / self.norm(self.q)
 
     def row(self, choice: Choice) -> Row:
@@ -123,14 +123,14 @@ class Comparison:
         )
 
     def _seconds(self, filter_: filters.Filter) -> float:
-        """Of one application, the slowest rank's, which all ranks agree on. Collective."""
+        """Return the time of one application, the slowest rank's, which all ranks agree on. Collective."""
         self.comm.Barrier()
         began = perf_counter()
         filter_.apply(self.q)
         return float(self.comm.allreduce(perf_counter() - began, op=MPI.MAX))
 
     def _traffic(self, filter_: filters.Filter) -> tuple[int, int]:
-        """Messages of all ranks, and reductions, of one application, as PETSc's log and the grid count them."""
+        """Return messages of all ranks, and reductions, of one application, as PETSc's log and the grid count them."""
         PETSc.Log.begin()
         event = PETSc.Log.Event("filter application")
         before, counted = self.grid.reductions, event.getPerfInfo()
@@ -182,7 +182,7 @@ def _cells(row: Row) -> list[str]:
 
 
 def _note(row: Row) -> str | None:
-    """What the filter says about itself, in words."""
+    """Return what the filter says about itself, in words."""
     if row.kind == "exact":
         return f"exact: {row.facts['iterations']} iterations to a residual of {row.facts['tolerance']:g}"
     if row.kind == "svd":

@@ -10,10 +10,11 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from mpi4py import MPI
+from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from mpipic.analysis.recurrence import Recurrence, find
@@ -31,6 +32,8 @@ from mpipic.run.loop import Simulation
 if TYPE_CHECKING:
     from mpipic.scene.records import Scene
 
+Mode = NDArray[np.float64] | NDArray[np.complex128]
+"""An eigenvector, real or complex."""
 NOISE = 1e-16
 """Size of rounding relative to the solution: what grows."""
 DENSE = 700
@@ -39,7 +42,7 @@ DENSE = 700
 
 @dataclass(frozen=True)
 class Growth:
-    """What came out, on all ranks.
+    """Growth of a scheme, the same on all ranks.
 
     Attributes
     ----------
@@ -56,11 +59,12 @@ class Growth:
     residual
         ‖M x - λ x‖ / |λ|, x of norm 1.
     noise_step, blow_up_step
-        When rounding noise has grown to the solution's size, and to `time.blow_up` times it; None without growth.
+        The steps at which rounding noise has grown to the solution's size, and to `time.blow_up` times it; None
+        without growth.
     wave
         Periods in the box per axis of the mode's strongest wave.
     null_space_share
-        Of the mode's density: what no node sees.
+        Share of the mode's density that no node sees.
     """
 
     growth_per_step: float
@@ -77,7 +81,7 @@ class Growth:
 
 
 class Monodromy:
-    """M on vectors of (ρ, ρ₀ u / c) of this rank's particles, as they were at t = 0; a PETSc shell matrix.
+    """Applies M to vectors of (ρ, ρ₀ u / c) of this rank's particles, as they were at t = 0; a PETSc shell matrix.
 
     Notes
     -----
@@ -112,7 +116,7 @@ class Monodromy:
         return len(self.ids) * self.width
 
     def apply(self, x: FloatArray) -> FloatArray:
-        """M x, (own,). Collective."""
+        """Return M x, (own,). Collective."""
         self.applications += 1
         simulation = self.simulation
         particles = simulation.particles
@@ -126,14 +130,14 @@ class Monodromy:
         result[arrived[:, 0].astype(np.int64)] = arrived[:, 1:]
         return result.ravel()
 
-    def mult(self, mat: Any, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """y = M x, as PETSc calls it. Collective."""
+    def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Set y = M x, as PETSc calls it. Collective."""
         values = self.apply(np.array(x.getArray(readonly=True)))
         with y as out:
             out[...] = values
 
     def dense(self) -> FloatArray:
-        """M written out, (unknowns, unknowns), on all ranks. Collective; as many applications as columns."""
+        """Return M written out, (unknowns, unknowns), on all ranks. Collective; as many applications as columns."""
         starts = np.concatenate([[0], np.cumsum(self.comm.allgather(self.own))])
         first = int(starts[self.comm.rank])
         columns = []
@@ -146,7 +150,7 @@ class Monodromy:
 
 
 def analyse(scene: Scene, comm: MPI.Comm, most_steps: int, tolerance: float = 1e-9) -> Growth:
-    """Growth per step of the scene's scheme on its pattern of particles. Collective.
+    """Return the growth per step of the scene's scheme on its pattern of particles. Collective.
 
     Raises
     ------
@@ -185,19 +189,19 @@ class Eigenpair(NamedTuple):
     """The largest eigenvalue of M, this rank's part of its vector, and ‖M‖ where it is known."""
 
     value: complex
-    vector: np.ndarray[Any, Any]
+    vector: Mode
     residual: float
     solver: str
     norm: float | None
 
 
 def _per_step(factor: float, steps: int) -> float:
-    """Growth per step of what that many steps multiply by `factor`."""
+    """Return the growth per step of what that many steps multiply by `factor`."""
     return math.expm1(math.log(factor) / steps) if factor > 0 else -1.0
 
 
 def _by_all(monodromy: Monodromy) -> Eigenpair:
-    """All eigenvalues of M written out, and its norm, by LAPACK; the same on every rank."""
+    """Find all eigenvalues of M written out, and its norm, by LAPACK; the same on every rank."""
     matrix = monodromy.dense()
     values, vectors = np.linalg.eig(matrix)
     largest = int(np.argmax(np.abs(values)))
@@ -209,7 +213,7 @@ def _by_all(monodromy: Monodromy) -> Eigenpair:
 
 
 def _by_krylov(monodromy: Monodromy, tolerance: float) -> Eigenpair:
-    """The largest eigenvalue of M by SLEPc's Krylov-Schur method on a shell matrix; options ``-stability_eps_...``."""
+    """Find the largest eigenvalue of M by SLEPc's Krylov-Schur method on a shell; options ``-stability_eps_...``."""
     from slepc4py import SLEPc
 
     sizes = ((monodromy.own, None), (monodromy.own, None))
@@ -246,8 +250,8 @@ def _steps_to(factor: float, growth: float) -> float | None:
     return math.log(factor) / math.log1p(growth) if growth > 1e-14 else None
 
 
-def _strongest_wave(monodromy: Monodromy, mode: np.ndarray[Any, Any]) -> tuple[int, ...]:
-    """Of all waves that the particles can tell apart, about, the one with the largest amplitude. Collective."""
+def _strongest_wave(monodromy: Monodromy, mode: Mode) -> tuple[int, ...]:
+    """Return the wave of largest amplitude among those, about, that the particles can tell apart. Collective."""
     scene, comm = monodromy.scene, monodromy.comm
     finer = max(1.0, monodromy.simulation.total / scene.cell_count) ** (1.0 / scene.dim)
     spans = [np.arange(-int(n * finer) // 2, int(n * finer) // 2 + 1) for n in scene.grid.cells]
@@ -264,8 +268,8 @@ def _strongest_wave(monodromy: Monodromy, mode: np.ndarray[Any, Any]) -> tuple[i
     return found
 
 
-def _null_space_share(monodromy: Monodromy, mode: np.ndarray[Any, Any]) -> float:
-    """‖(1 - P) ρ‖ / ‖ρ‖ of the mode's density; 0 for a mode without density. Collective."""
+def _null_space_share(monodromy: Monodromy, mode: Mode) -> float:
+    """Return ‖(1 - P) ρ‖ / ‖ρ‖ of the mode's density; 0 for a mode without density. Collective."""
     simulation = monodromy.simulation
     mapping = Mapping(simulation.grid, monodromy.position)
     parts = np.column_stack([mode.real, mode.imag])
@@ -277,7 +281,7 @@ def _null_space_share(monodromy: Monodromy, mode: np.ndarray[Any, Any]) -> float
 
 
 def report(growth: Growth, scene: Scene) -> list[tuple[str, str]]:
-    """The result as (name, value) lines."""
+    """Return the result as (name, value) lines."""
 
     def when(step: float | None) -> str:
         return "never: nothing grows" if step is None else f"about step {step:,.0f}, t = {step * scene.dt:.4g}"

@@ -34,7 +34,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Point:
-    """One point of a map: growth is None where `status` says why there is none."""
+    """A point of a map: growth is None where `status` says why there is none."""
 
     filter: str
     x: float
@@ -47,7 +47,7 @@ class Point:
 
 
 def parse_axis(text: str) -> Axis:
-    """KEY=a:b:n, n values evenly from a to b; raises SceneError."""
+    """Read KEY=a:b:n, n values evenly from a to b; raises SceneError."""
     key, equals, span = text.partition("=")
     try:
         first, last, count = span.split(":")
@@ -61,7 +61,7 @@ def parse_axis(text: str) -> Axis:
 
 
 def with_value(scene: Scene, key: str, value: float) -> Scene:
-    """The scene with another value; of a list with one entry per axis, the first is changed."""
+    """Return the scene with another value; of a list with one entry per axis, the first is changed."""
     data = scene.to_dict()
     section, _, name = key.partition(".")
     if key == "time.cfl":
@@ -76,7 +76,7 @@ def with_value(scene: Scene, key: str, value: float) -> Scene:
 
 
 def with_flow(scene: Scene, most: int) -> Scene:
-    """The scene with the nearest flow that recurs within `most` steps."""
+    """Return the scene with the nearest flow that recurs within `most` steps."""
     flow = nearest_flows(scene, most)[0]
     data = scene.to_dict()
     data["gas"]["flow"] = list(flow)
@@ -84,7 +84,7 @@ def with_flow(scene: Scene, most: int) -> Scene:
 
 
 def points(scene: Scene, axes: Sequence[Axis], choices: Sequence[Choice], comm: MPI.Comm, most: int) -> Iterator[Point]:
-    """Every point, filter by filter; flows are rounded to the nearest that recur within `most` steps. Collective."""
+    """Yield every point, filter by filter; flows are rounded to the nearest that recur in `most` steps. Collective."""
     for choice in choices:
         for x, y in product(axes[0].values, axes[1].values):
             placed = with_value(with_value(scene, axes[0].key, x), axes[1].key, y)

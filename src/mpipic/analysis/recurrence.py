@@ -21,9 +21,9 @@ class Recurrence:
     Attributes
     ----------
     steps
-        T.
+        The period T.
     shift
-        What the pattern has moved by after T steps, in particle spacings per axis on a lattice, else in cells.
+        How far the pattern has moved after T steps, in particle spacings per axis on a lattice, else in cells.
     lattice
         Points per axis of the lattice that coincides with itself then; None where each particle is its own successor.
     """
@@ -33,7 +33,7 @@ class Recurrence:
     lattice: tuple[int, ...] | None
 
     def successor(self, ids: IntArray) -> IntArray:
-        """Id of the particle in whose place each of these is after a period; lattice ids count x fastest. Local."""
+        """Return ids of the particles in whose places these are after a period; lattice ids count x fastest. Local."""
         if self.lattice is None:
             return ids
         sites = np.unravel_index(ids, self.lattice[::-1])[::-1]
@@ -42,12 +42,12 @@ class Recurrence:
 
 
 def displacement(scene: Scene) -> tuple[float, ...]:
-    """Cells per step and axis."""
+    """Return the cells that particles move per step, on every axis."""
     return tuple(v * scene.dt / h for v, h in zip(scene.gas.flow, scene.h, strict=True))
 
 
 def find(scene: Scene, most: int) -> Recurrence:
-    """The shortest period of the scene's pattern, of at most `most` steps.
+    """Return the shortest period of the scene's pattern, of at most `most` steps.
 
     Raises
     ------
@@ -74,7 +74,7 @@ def find(scene: Scene, most: int) -> Recurrence:
 
 
 def nearest_flows(scene: Scene, most: int, count: int = 3) -> list[tuple[float, ...]]:
-    """Flows near the scene's that recur within `most` steps, the nearest first.
+    """Return flows near the scene's that recur within `most` steps, the nearest first.
 
     Every axis moves a rational number of particle spacings a step; their common denominator is the period.
     """
@@ -89,5 +89,5 @@ def nearest_flows(scene: Scene, most: int, count: int = 3) -> list[tuple[float, 
 
 
 def _nearest(move: float, period: int) -> float:
-    """The multiple of 1 / period nearest to `move`; not 0 unless `move` is."""
+    """Return the multiple of 1 / period nearest to `move`; not 0 unless `move` is."""
     return float(Fraction(round(move * period) or int(np.sign(move)), period))

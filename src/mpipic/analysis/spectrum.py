@@ -1,6 +1,6 @@
 """The verb `spectrum`: what a single application of each filter keeps of every wave, on the scene's particles.
 
-Of the wave q = cos(k·x + phase) on the particles a filter F keeps ⟨q, F q⟩ / ⟨q, q⟩. The phase matters only where the
+A filter F keeps ⟨q, F q⟩ / ⟨q, q⟩ of the wave q = cos(k·x + phase) on the particles. The phase matters only where the
 grid cannot hold both of a wave's phases: at two nodes a period, a cosine that peaks on the nodes is kept best, a sine
 not at all.
 """
@@ -49,7 +49,7 @@ class Kept:
 
 
 def wave_numbers(cells: int) -> list[int]:
-    """Whole periods in `cells` cells, down to two nodes a period; thinned out to about WAVES, dyadic ones kept."""
+    """Return whole periods in `cells` cells, down to two nodes a period; of many, about WAVES and all dyadic ones."""
     every = np.arange(1, cells // 2 + 1)
     if every.size <= WAVES:
         return [int(k) for k in every]
@@ -59,7 +59,7 @@ def wave_numbers(cells: int) -> list[int]:
 
 
 def directions(cells: Sequence[int]) -> list[tuple[str, tuple[int, ...], list[int]]]:
-    """Name, unit wave vector in periods, and wave numbers: each axis that can carry a wave, and in 2D, 3D the diagonal.
+    """Return name, unit wave vector in periods and wave numbers of each axis that can carry a wave, and the diagonal.
 
     Along the diagonal every axis has the same number of periods.
     """
@@ -73,7 +73,7 @@ def directions(cells: Sequence[int]) -> list[tuple[str, tuple[int, ...], list[in
 
 
 def measure(scene: Scene, choices: Sequence[Choice], comm: MPI.Comm, phase: float = PHASE) -> list[Kept]:
-    """Every point of the spectra at the scene's initial positions; `phase` in radians. Collective."""
+    """Return every point of the spectra at the scene's initial positions; `phase` in radians. Collective."""
     grid, particles = place(scene, comm)
     total = int(comm.allreduce(particles.count))
     mapping = Mapping.at(grid, particles)
@@ -93,7 +93,7 @@ def measure(scene: Scene, choices: Sequence[Choice], comm: MPI.Comm, phase: floa
 
 
 def _kept(filter_: filters.Filter, turn: FloatArray, phase: float, waves: Sequence[int], grid: Grid) -> FloatArray:
-    """⟨q, F q⟩ / ⟨q, q⟩ for q = cos(wave turn + phase); 0 for a wave that vanishes on all particles."""
+    """Return ⟨q, F q⟩ / ⟨q, q⟩ for q = cos(wave turn + phase); 0 for a wave that vanishes on all particles."""
     together = max(1, AT_ONCE // max(1, int(grid.reduce(np.array([float(len(turn))]), MPI.MAX)[0])))
     shares = []
     for start in range(0, len(waves), together):
@@ -140,7 +140,7 @@ def _curves(points: Sequence[Kept]) -> list[Curve]:
 
 
 def _rows(points: Sequence[Kept], direction: str, labels: Sequence[str]) -> list[list[str]]:
-    """The waves of SHOWN lengths where there are such, else up to five others."""
+    """Return the lines of a table: waves of SHOWN lengths where there are such, else up to five others."""
     mine = [point for point in points if point.direction == direction]
     lengths = sorted({point.lambda_over_h for point in mine})
     shown = [length for length in lengths if length in SHOWN] or lengths[:: max(1, len(lengths) // 5)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,6 +14,8 @@ from mpipic.scene.presets import PRESETS
 if TYPE_CHECKING:
     from mpipic.mesh.grid import Grid
 
+Sections = Mapping[str, Mapping[str, object]]
+"""Name of a section to its keys and values."""
 Place = Callable[["Grid", np.random.Generator], FloatArray]
 """From a grid to coordinates in cells, (n, d)."""
 
@@ -31,17 +33,17 @@ class Case:
     error
         Largest l2 error of the density, relative to the amplitude, of a completed run.
     amplitude
-        Of the initial state.
+        Factor of the initial state.
     place
         Coordinates in cells for the particles, in place of the scene's layout.
     predict
-        Hold the run against its computed growth.
+        Whether the run is held against its computed growth.
     short
-        Part of the short form.
+        Whether the case is part of the short form.
     """
 
     name: str
-    scene: Mapping[str, Any]
+    scene: Sections
     expect: str = "completed"
     error: float = 0.3
     amplitude: float = 1.0
@@ -50,7 +52,7 @@ class Case:
     short: bool = False
 
 
-SCHEMES: dict[str, dict[str, Any]] = {
+SCHEMES: dict[str, Sections] = {
     "local": {"filter": {"kind": "local"}},
     "order 2": {"filter": {"kind": "order", "order": 2}},
     "exact": {"filter": {"kind": "exact", "tolerance": 1e-12}},
@@ -58,31 +60,32 @@ SCHEMES: dict[str, dict[str, Any]] = {
 }
 
 
-def _merged(*parts: Mapping[str, Any]) -> dict[str, Any]:
-    result: dict[str, dict[str, Any]] = {}
+def _merged(*parts: Sections) -> dict[str, dict[str, object]]:
+    """Return the sections of all parts; of a key that several have, the last counts."""
+    result: dict[str, dict[str, object]] = {}
     for part in parts:
         for section, values in part.items():
             result[section] = {**result.get(section, {}), **values}
     return result
 
 
-WAVE_1D: dict[str, Any] = {
+WAVE_1D: Sections = {
     "grid": {"cells": [32]}, "initial": {"profile": "plane-wave"}, "time": {"cfl": 0.2, "steps": 160},
 }  # fmt: skip
-WAVE_2D: dict[str, Any] = {
+WAVE_2D: Sections = {
     "grid": {"cells": [12, 12]}, "initial": {"profile": "standing-wave"}, "gas": {"flow": [0.13, 0.07]},
     "time": {"cfl": 0.2, "steps": 60},
 }  # fmt: skip
 
 
 def _stiff() -> list[Case]:
-    """Sound much faster than the flow, time steps around the limit, implicit steps far above it."""
+    """Return cases of sound much faster than the flow, time steps around the limit, implicit steps far above it."""
     cases = [
         Case(f"c/v = 1e{power}, {name}", _merged(WAVE_1D, scheme, {"gas": {"flow": [10.0**-power]}}), short=power == 8)
         for power in (2, 4, 6, 8)
         for name, scheme in SCHEMES.items()
     ]
-    still = {"gas": {"flow": [0.0]}, "time": {"steps": 400}}
+    still: Sections = {"gas": {"flow": [0.0]}, "time": {"steps": 400}}
     for cfl, expect in ((0.01, "completed"), (1.99, "completed"), (2.02, "unstable")):
         scene = _merged(WAVE_1D, SCHEMES["exact"], still, {"time": {"cfl": cfl}})
         cases.append(Case(f"CFL {cfl} of 2, exact", scene, expect, error=1.0, short=cfl > 1))
@@ -90,7 +93,7 @@ def _stiff() -> list[Case]:
         scene = _merged(WAVE_1D, SCHEMES["local"], still, {"time": {"cfl": cfl}})
         cases.append(Case(f"CFL {cfl} of 2.82, local", scene, expect, error=2.0))
     for cfl in (1.0, 10.0, 100.0, 1000.0):
-        implicit = {"time": {"cfl": cfl, "steps": 40, "integrator": "midpoint"}, "gas": {"flow": [1e-4]}}
+        implicit: Sections = {"time": {"cfl": cfl, "steps": 40, "integrator": "midpoint"}, "gas": {"flow": [1e-4]}}
         scene = _merged(WAVE_1D, SCHEMES["recommended"], implicit)
         cases.append(Case(f"midpoint, CFL {cfl:g}", scene, error=2.0, short=cfl == 100.0))
     return cases
@@ -109,7 +112,7 @@ PLACES: dict[str, Place] = {
 
 
 def _counts() -> list[Case]:
-    """Many and few particles, empty cells, and all of them in bad places; growth to twice the start is to be stated."""
+    """Return cases of many and few particles, and in bad places; growth to twice the start is to be stated."""
     cases = []
     for name, scheme in SCHEMES.items():
         base = _merged(WAVE_1D, scheme, {"time": {"blow_up": 2.0}})
@@ -129,7 +132,7 @@ def _counts() -> list[Case]:
 
 
 def _sizes() -> list[Case]:
-    """Tiny and huge numbers in state, gas and box."""
+    """Return cases of tiny and huge numbers in state, gas and box."""
     cases = []
     for name, scheme in SCHEMES.items():
         base = _merged(WAVE_1D, scheme)
@@ -141,14 +144,14 @@ def _sizes() -> list[Case]:
         for speed in (1e-12, 1e12):
             gas = {"sound_speed": speed, "flow": [0.05 * speed]}
             cases.append(Case(f"sound speed {speed:g}, {name}", _merged(base, {"gas": gas})))
-        box = {"grid": {"length": [1.0, 1e6]}, "gas": {"flow": [0.1, 0.0]}, "initial": {"wave": [1, 0]}}
-        wave = {"initial": {"profile": "plane-wave"}}
+        box: Sections = {"grid": {"length": [1.0, 1e6]}, "gas": {"flow": [0.1, 0.0]}, "initial": {"wave": [1, 0]}}
+        wave: Sections = {"initial": {"profile": "plane-wave"}}
         cases.append(Case(f"cells of 1 to 1e6, {name}", _merged(WAVE_2D, scheme, box, wave)))
     return cases
 
 
 def _motion() -> list[Case]:
-    """No flow, flow faster than sound, very many steps, the smallest boxes."""
+    """Return cases of no flow, flow faster than sound, very many steps, the smallest boxes."""
     cases = []
     for name, scheme in SCHEMES.items():
         base = _merged(WAVE_1D, scheme)
@@ -158,16 +161,16 @@ def _motion() -> list[Case]:
             Case(f"one cell, {name}", _merged(base, {"grid": {"cells": [1]}}), "any", error=1.5),
             Case(f"four cells, {name}", _merged(base, {"grid": {"cells": [4]}}), "any", error=1.5),
         ]
-    small = {"grid": {"cells": [8]}, "gas": {"flow": [0.0]}, "time": {"cfl": 0.2, "steps": 300_000}}
+    small: Sections = {"grid": {"cells": [8]}, "gas": {"flow": [0.0]}, "time": {"cfl": 0.2, "steps": 300_000}}
     cases.append(Case("300 000 steps in a small box, local", _merged(WAVE_1D, SCHEMES["local"], small), error=2.0))
     return cases
 
 
 def _predicted() -> list[Case]:
-    """Runs against their computed growth, long enough to show it."""
+    """Return runs against their computed growth, long enough to show it."""
     far = {"blow_up": 1e200}
-    pulse: dict[str, Any] = {"grid": {"cells": [24]}, "time": {"dt": 1.25e-3 * 100 / 24, "steps": 1500, **far}}
-    loose: dict[str, Any] = {"particles": {"layout": "jittered", "jitter": 0.4}, "time": {"steps": 6000}}
+    pulse: Sections = {"grid": {"cells": [24]}, "time": {"dt": 1.25e-3 * 100 / 24, "steps": 1500, **far}}
+    loose: Sections = {"particles": {"layout": "jittered", "jitter": 0.4}, "time": {"steps": 6000}}
     kinds = {"none": {"filter": {"kind": "none"}}, **{k: v for k, v in SCHEMES.items() if k != "order 2"}}
     lattice = [
         Case(f"growth on a lattice, {name}", _merged(pulse, scheme), predict=True, short=name == "none")

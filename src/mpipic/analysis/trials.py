@@ -11,12 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 from mpi4py import MPI
 
-from mpipic.analysis.growth import analyse
+from mpipic.analysis.growth import NOISE, Growth, analyse
 from mpipic.analysis.trial_cases import CASES, Case
 from mpipic.arrays import FloatArray
 from mpipic.console import Console
@@ -24,7 +23,7 @@ from mpipic.errors import NotConverged
 from mpipic.files import write_json
 from mpipic.run.diagnostics import ErrorReport, norms
 from mpipic.run.facts import versions
-from mpipic.run.loop import Simulation
+from mpipic.run.loop import Outcome, Simulation
 from mpipic.scene.records import Scene, SceneError
 
 AGREE = 0.05
@@ -35,7 +34,7 @@ RESOLVED = 1e-3
 
 @dataclass(frozen=True)
 class Judgement:
-    """What a case came to: status completed, unstable, refused or not converged; verdict good or BAD, and why."""
+    """A case, judged: status completed, unstable, refused or not converged; verdict good or BAD, and why."""
 
     case: str
     filter: str
@@ -57,20 +56,20 @@ class _Watch:
         self.peaks: list[float] = [simulation.physics.peak]
 
     def record(self, step: int, time: float, peak: float, report: ErrorReport | None) -> None:
-        """Nothing: peaks come with every step."""
+        """Do nothing: peaks come with every step."""
 
     def snapshot(self, step: int, time: float) -> None:
-        """Nothing."""
+        """Do nothing."""
 
     def progress(self, step: int, time: float) -> None:
         """Keep this rank's largest density."""
         self.peaks.append(self._simulation.physics.peak)
 
     def growth(self, comm: MPI.Comm, period: int) -> float | None:
-        """Growth per step of max |ρ| over all ranks, the slope of its logarithm over whole periods.
+        """Return the growth per step of max |ρ| over all ranks, the slope of its logarithm over whole periods.
 
-        Taken where it is a thousand times the start, which leaves the solution itself behind; None where that lasts for
-        less than two periods.
+        It is taken where max |ρ| is a thousand times the start, which leaves the solution itself behind; None where
+        that lasts for less than two periods.
         """
         peaks = np.array(self.peaks)
         peaks = np.where(np.isfinite(peaks), peaks, np.inf)
@@ -85,32 +84,43 @@ class _Watch:
         return float(np.log(peaks[-1] / peaks[-1 - periods * period]) / (periods * period))
 
 
+@dataclass(frozen=True)
+class Finding:
+    """How a case ended, whether that is good, and why."""
+
+    status: str
+    good: bool
+    reason: str
+    steps: int = 0
+    error: float | None = None
+    growth: float | None = None
+    predicted: float | None = None
+
+
 def judge(case: Case, comm: MPI.Comm) -> Judgement:
     """Run one case and hold it against its rule. Collective."""
     began = perf_counter()
     try:
-        scene = Scene.from_dict(case.scene, name=case.name)
-        found = _run(case, scene, comm)
+        found = _run(case, Scene.from_dict(case.scene, name=case.name), comm)
     except SceneError as error:
-        status, good = "refused", case.expect in ("refused", "any")
-        found = {"status": status, "good": good, "reason": str(error).splitlines()[0]}
+        found = Finding("refused", case.expect in ("refused", "any"), str(error).splitlines()[0])
     except NotConverged as error:
-        found = {"status": "not converged", "good": case.expect == "any", "reason": str(error)}
+        found = Finding("not converged", case.expect == "any", str(error))
     return Judgement(
         case=case.name,
         filter=str(case.scene.get("filter", {}).get("kind", "local")),
-        status=found["status"],
-        steps=found.get("steps", 0),
-        growth=found.get("growth"),
-        predicted=found.get("predicted"),
-        error=found.get("error"),
+        status=found.status,
+        steps=found.steps,
+        growth=found.growth,
+        predicted=found.predicted,
+        error=found.error,
         seconds=perf_counter() - began,
-        verdict="good" if found["good"] else "BAD",
-        reason=found["reason"],
+        verdict="good" if found.good else "BAD",
+        reason=found.reason,
     )
 
 
-def _run(case: Case, scene: Scene, comm: MPI.Comm) -> dict[str, Any]:
+def _run(case: Case, scene: Scene, comm: MPI.Comm) -> Finding:
     simulation = Simulation(scene, comm)
     if case.place is not None:
         _place(simulation, case.place(simulation.grid, np.random.default_rng(0)))
@@ -120,22 +130,26 @@ def _run(case: Case, scene: Scene, comm: MPI.Comm) -> dict[str, Any]:
     watch = _Watch(simulation)
     outcome = simulation.run(watch)
     error = _error(case, simulation) if outcome.status == "completed" else None
-    finite = bool(np.isfinite(simulation.particles.state).all())
-    finite = bool(comm.allreduce(finite, op=MPI.MIN))
+    finite = bool(comm.allreduce(bool(np.isfinite(simulation.particles.state).all()), op=MPI.MIN))
     simulation.close()
-    facts = {"status": outcome.status, "steps": outcome.step, "error": error}
-    if outcome.status == "completed" and not finite:
-        return {**facts, "good": False, "reason": "a value that is not finite was called completed"}
-    if case.predict:
-        return {**facts, **_against_prediction(case, scene, watch, outcome.status, comm)}
-    if outcome.status == "unstable":
+    if case.predict and (finite or outcome.status != "completed"):
+        return _against_prediction(outcome, error, analyse(scene, comm, 2000), scene, watch, comm)
+    good, reason = _verdict(case, outcome.status, finite, error)
+    return Finding(outcome.status, good, reason, outcome.step, error)
+
+
+def _verdict(case: Case, status: str, finite: bool, error: float | None) -> tuple[bool, str]:
+    """Return whether a run that ended so keeps the rule of its case, and why."""
+    if status == "unstable":
         good = case.expect in ("unstable", "any")
-        return {**facts, "good": good, "reason": "stated" if good else "should have completed"}
+        return good, "stated" if good else "should have completed"
+    if not finite:
+        return False, "a value that is not finite was called completed"
     if case.expect == "unstable":
-        return {**facts, "good": False, "reason": "should have ended unstable"}
+        return False, "should have ended unstable"
     right = error is None or error <= case.error
     words = "bounded" if error is None else f"error {error:.2g}, at most {case.error:g}"
-    return {**facts, "good": right, "reason": words if right else f"a wrong answer: {words}"}
+    return right, words if right else f"a wrong answer: {words}"
 
 
 def _place(simulation: Simulation, coordinate: FloatArray) -> None:
@@ -147,7 +161,7 @@ def _place(simulation: Simulation, coordinate: FloatArray) -> None:
 
 
 def _error(case: Case, simulation: Simulation) -> float | None:
-    """l2 error of the density, relative to the amplitude. Collective."""
+    """Return the l2 error of the density, relative to the amplitude. Collective."""
     exact = simulation.physics.exact(simulation.particles.position, simulation.time)
     if exact is None or not simulation.total:
         return None
@@ -155,19 +169,21 @@ def _error(case: Case, simulation: Simulation) -> float | None:
     return norms(error, simulation.total, simulation.comm).l2 / case.amplitude
 
 
-def _against_prediction(case: Case, scene: Scene, watch: _Watch, status: str, comm: MPI.Comm) -> dict[str, Any]:
-    """Whether the run did what its growth rate says. Collective."""
-    analysis = analyse(scene, comm, 2000)
+def _against_prediction(
+    outcome: Outcome, error: float | None, analysis: Growth, scene: Scene, watch: _Watch, comm: MPI.Comm
+) -> Finding:
+    """Hold a run against what its growth rate says. Collective."""
     predicted = math.log1p(analysis.growth_per_step)
     growth = watch.growth(comm, analysis.period_steps)
-    facts = {"predicted": predicted, "growth": growth}
     if predicted > RESOLVED and growth is not None:
         off = abs(growth - predicted) / predicted
-        return {**facts, "good": off <= AGREE, "reason": f"growth differs from the prediction by {100 * off:.1f} %"}
-    # rounding begins far below its unit where symmetry hides a mode: a run may outlast the prediction by half
-    due = math.log(1e3 / 1e-16) / predicted if predicted > 0.0 else math.inf
-    late = growth is None and status == "completed" and 1.5 * due < scene.time.steps
-    return {**facts, "good": not late, "reason": "should have grown" if late else "as predicted: stable for so long"}
+        good, reason = off <= AGREE, f"growth differs from the prediction by {100 * off:.1f} %"
+    else:
+        # rounding begins far below its unit where symmetry hides a mode: a run may outlast the prediction by half
+        due = math.log(1e3 / NOISE) / predicted if predicted > 0.0 else math.inf
+        good = not (growth is None and outcome.status == "completed" and 1.5 * due < scene.time.steps)
+        reason = "as predicted: stable for so long" if good else "should have grown"
+    return Finding(outcome.status, good, reason, outcome.step, error, growth, predicted)
 
 
 def run(

@@ -23,7 +23,7 @@ SCENE_HEADER = "# Every value of this run, resolved; run it again with: mpipic r
 
 
 class SceneText(Protocol):
-    """What files keep of a scene: its name, and every value resolved as TOML."""
+    """A scene as files keep it: its name, and every value resolved as TOML."""
 
     @property
     def name(self) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 SAMPLE = 20_000
 
 
-def gather_sample(particles: ParticleArrays, comm: MPI.Comm, at_most: int = SAMPLE) -> dict[str, NDArray[Any]] | None:
+Sample = dict[str, NDArray[np.generic]]
+
+
+def gather_sample(particles: ParticleArrays, comm: MPI.Comm, at_most: int = SAMPLE) -> Sample | None:
     """Bring at most `at_most` particles to rank 0, the same ones on any number of ranks.
 
     All particles when they are no more than that. Otherwise a particle is taken when the fractional part of (golden

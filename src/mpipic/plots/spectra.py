@@ -11,7 +11,7 @@ from mpipic.plots.style import line_style, picture
 
 @dataclass(frozen=True)
 class Curve:
-    """What one filter keeps of waves of these lengths, in nodes, along one direction."""
+    """Shares that one filter keeps of waves of these lengths, in nodes, along one direction."""
 
     direction: str
     filter: str

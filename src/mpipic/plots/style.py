@@ -1,4 +1,4 @@
-"""What all pictures share: colours, lines, titles, scales that no data can break, and a figure without a window.
+"""All pictures share these: colours, lines, titles, scales that no data can break, and a figure without a window.
 
 matplotlib is imported when a picture is drawn. Data may hold anything that a run that blew up leaves behind: values
 that are not finite are left out and counted, huge ones are clipped at `HUGE`, those below `TINY` are drawn as 0.

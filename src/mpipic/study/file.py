@@ -75,7 +75,7 @@ class Study:
 
     @property
     def title(self) -> str:
-        """What the study is called: its `title`, else the name of its file."""
+        """The study's `title`, else the name of its file."""
         return self.settings.title or self.name
 
 

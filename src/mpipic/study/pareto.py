@@ -1,4 +1,4 @@
-"""What many (cost, error) pairs say: which of them nothing beats, how fast error falls with h, what to choose."""
+"""Choosing among many pairs (cost, error): which of them nothing beats, and how fast error falls with h."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from statistics import linear_regression
 def front(pairs: Sequence[tuple[float, float]]) -> list[int]:
     """Return, by rising cost, the indices of pairs (cost, error) that none beats in one without losing in the other.
 
-    Of equal pairs the first counts. O(n log n).
+    The first of equal pairs counts. O(n log n).
     """
     best, found = math.inf, []
     for index in sorted(range(len(pairs)), key=lambda i: (*pairs[i], i)):

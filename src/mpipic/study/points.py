@@ -37,7 +37,7 @@ NOTHING = (Choice("", {}),)
 
 @dataclass(frozen=True)
 class Axis:
-    """What is swept together under one name: a scene key, ranks, or a name of its own."""
+    """Choices that are swept together under one name: a scene key, ranks, or a name of its own."""
 
     name: str
     choices: tuple[Choice, ...]
@@ -79,7 +79,7 @@ class Point:
 
     @property
     def label(self) -> str:
-        """What tables call the point: scheme and resolution."""
+        """Scheme and resolution, as tables call the point."""
         return ", ".join(filter(None, (self.scheme, self.resolution))) or "the only point"
 
     def apart_from(self, axis: str) -> str:

@@ -1,4 +1,4 @@
-"""What is kept of every run of a study, line by line, so that nothing is run twice."""
+"""A study keeps a record of every run, line by line, so that none is run twice."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Seconds(TypedDict):
 
 
 class Told(TypedDict, total=False):
-    """What a run's own summary tells and a study keeps; None where the run left no summary."""
+    """A run's own summary tells this, and a study keeps it; None where the run left no summary."""
 
     steps: int | None
     time: float | None

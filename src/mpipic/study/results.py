@@ -1,4 +1,4 @@
-"""What the runs of a study amount to: a row for each point, the Pareto front, orders of convergence, CSV and JSON."""
+"""The runs of a study summed up: a row for each point, the Pareto front, orders of convergence, CSV and JSON."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Row:
     status
         completed, unstable, timeout, crashed, not converged, refused, or not run.
     seconds, total_seconds
-        Of stepping, and of everything within the process; of an unstable point until it blew up.
+        Time of stepping, and of everything within the process; until it blew up, of an unstable point.
     error
         At the end, in the norm of the study; None unless completed.
     on_front
