@@ -48,7 +48,7 @@ class ErrorNorms(Protocol):
         ...
 
 
-class Report(Protocol):
+class Measured(Protocol):
     """Errors at one step, by name of the field, and shares of what no node sees, None where unknown."""
 
     @property
@@ -200,7 +200,7 @@ class Console:
             return Progress()
         return (ProgressBar if self._loud.is_terminal else ProgressLines)(total_steps, watched, self._loud)
 
-    def error_table(self, reports: Iterable[Report]) -> None:
+    def error_table(self, reports: Iterable[Measured]) -> None:
         """Print error reports: a line a field, with l1, l2 and linf; a share that is None prints as a dash."""
         rows: list[tuple[str, ...]] = []
         for report in reports:

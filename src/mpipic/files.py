@@ -74,7 +74,7 @@ def write_csv(path: Path, header: Sequence[str], rows: Iterable[Iterable[object]
     stream = io.StringIO()
     table = csv.writer(stream, lineterminator="\n")
     table.writerow(header)
-    table.writerows([_cell(value) for value in row] for row in rows)
+    table.writerows([_entry(value) for value in row] for row in rows)
     write_text(path, stream.getvalue())
 
 
@@ -98,7 +98,7 @@ def plain(value: object) -> object:
     return str(value) if isinstance(value, Path) else value
 
 
-def _cell(value: object) -> str:
+def _entry(value: object) -> str:
     if value is None:
         return ""
     if isinstance(value, numbers.Real) and not isinstance(value, numbers.Integral):

@@ -1,4 +1,4 @@
-"""Claims about running points: whatever becomes of a process is a record, and records survive."""
+"""Claims about running points: whatever becomes of a process is a record, and journal survive."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from helpers import HANG
 from mpipic.errors import OutputError
 from mpipic.study import runs as study_runs
 from mpipic.study.file import Study, load
-from mpipic.study.records import Records
+from mpipic.study.journal import Journal
 from mpipic.study.runs import command, environment, launch, run_once, scene_file, write_scenes
 from mpipic.study.verb import outstanding
 
@@ -162,47 +162,47 @@ def record(point: Any, repeat: int, status: str = "completed", **more: Any) -> d
 
 def test_records_survive_and_a_torn_line_is_dropped(study: Study, tmp_path: Path) -> None:
     first, second = study.points
-    records = Records(tmp_path)
-    records.add(record(first, 1))
-    records.add(record(second, 1))
-    records.close()
+    journal = Journal(tmp_path)
+    journal.add(record(first, 1))
+    journal.add(record(second, 1))
+    journal.close()
     path = tmp_path / "points.jsonl"
     whole = path.read_bytes()
     path.write_bytes(whole + b'{"id": "' + first.id.encode() + b'", "repeat": 2, "sta')
-    again = Records(tmp_path)
+    again = Journal(tmp_path)
     assert path.read_bytes() == whole
     assert [r["repeat"] for r in again.of(first)] == [1] and again.of(second)[0]["seconds"] is None
     assert outstanding(study, again) == [(first, 2), (second, 2)]
     again.add(record(first, 2))
     again.close()
     assert len(path.read_text().splitlines()) == 3
-    fresh = Records(tmp_path, fresh=True)
+    fresh = Journal(tmp_path, fresh=True)
     assert path.read_bytes() == b"" and len(outstanding(study, fresh)) == 4
     fresh.close()
 
 
 def test_all_points_run_once_before_any_runs_again_and_failures_do_not(study: Study, tmp_path: Path) -> None:
     first, second = study.points
-    records = Records(tmp_path)
-    assert outstanding(study, records) == [(first, 1), (second, 1), (first, 2), (second, 2)]
-    records.add(record(first, 1, "timeout"))
-    assert outstanding(study, records) == [(second, 1), (second, 2)]
-    records.forget(study.points, 5.0)
-    assert len(outstanding(study, records)) == 2, "no more time than before"
-    records.forget(study.points, 6.0)
-    assert len(outstanding(study, records)) == 4
-    records.add(record(second, 1, "crashed"))
-    records.forget(study.points, 5.0, ("crashed",))
-    assert len(outstanding(study, records)) == 4
-    records.close()
+    journal = Journal(tmp_path)
+    assert outstanding(study, journal) == [(first, 1), (second, 1), (first, 2), (second, 2)]
+    journal.add(record(first, 1, "timeout"))
+    assert outstanding(study, journal) == [(second, 1), (second, 2)]
+    journal.forget(study.points, 5.0)
+    assert len(outstanding(study, journal)) == 2, "no more time than before"
+    journal.forget(study.points, 6.0)
+    assert len(outstanding(study, journal)) == 4
+    journal.add(record(second, 1, "crashed"))
+    journal.forget(study.points, 5.0, ("crashed",))
+    assert len(outstanding(study, journal)) == 4
+    journal.close()
 
 
 def test_two_studies_do_not_write_to_one_folder(tmp_path: Path) -> None:
-    records = Records(tmp_path)
+    journal = Journal(tmp_path)
     with pytest.raises(OutputError, match="another study is writing"):
-        Records(tmp_path)
-    records.close()
-    Records(tmp_path).close()
+        Journal(tmp_path)
+    journal.close()
+    Journal(tmp_path).close()
 
 
 def test_scene_files_run_the_point_again(study: Study, tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ LONGEST, MOST = 1.0, 25
 
 
 @dataclass(frozen=True)
-class Row:
+class FilterRow:
     """One filter on white noise q.
 
     Attributes
@@ -93,7 +93,7 @@ class Comparison:
         """The share of the noise itself that no node sees, ‖(1 - P) q‖ / ‖q‖. Collective."""
         return self.norm(self.q - self.projected) / self.norm(self.q)
 
-    def row(self, choice: Choice) -> Row:
+    def row(self, choice: Choice) -> FilterRow:
         """Apply the filter, and say what it costs and does. Collective."""
         settings = choice.settings
         if settings.kind == "svd":
@@ -107,7 +107,7 @@ class Comparison:
         filtered = filter_.apply(self.q)
         size, kept = self.norm(self.q), self.norm(filtered)
         sums = self.grid.reduce(np.array([filtered.sum(), self.q.sum(), np.abs(self.q).sum()]))
-        return Row(
+        return FilterRow(
             filter=choice.label,
             kind=settings.kind,
             order=settings.order if "order" in filters.FILTERS[settings.kind].settings else None,
@@ -143,7 +143,9 @@ class Comparison:
         return int(messages), int(reductions) if self.comm.size > 1 else 0
 
 
-def run(scene: Scene, choices: Sequence[Choice], comm: MPI.Comm, console: Console, output: Path | None) -> list[Row]:
+def run(
+    scene: Scene, choices: Sequence[Choice], comm: MPI.Comm, console: Console, output: Path | None
+) -> list[FilterRow]:
     """Print one table, and write it as JSON if asked. Collective."""
     comparison = Comparison(scene, comm)
     rows = [comparison.row(choice) for choice in choices]
@@ -153,7 +155,7 @@ def run(scene: Scene, choices: Sequence[Choice], comm: MPI.Comm, console: Consol
         f"rank{'s' if comm.size > 1 else ''}; white noise of which {100 * share:.1f} % is in the null space; "
         f"distances from {comparison.reference}"
     )
-    console.table("filters on this scene's particles, one application", HEADER, [_cells(row) for row in rows])
+    console.table("filters on this scene's particles, one application", HEADER, [_entries(row) for row in rows])
     for note in filter(None, map(_note, rows)):
         console.message(note)
     if output is not None and comm.rank == 0:
@@ -174,14 +176,14 @@ def run(scene: Scene, choices: Sequence[Choice], comm: MPI.Comm, console: Consol
 HEADER = ("filter", "set-up s", "s", "messages", "reductions", "distance", "null space left", "sum error")
 
 
-def _cells(row: Row) -> list[str]:
+def _entries(row: FilterRow) -> list[str]:
     return [
         row.filter, f"{row.setup_seconds:.2g}", f"{row.seconds:.2e}", str(row.messages), str(row.reductions),
         f"{row.distance:.2e}", f"{row.null_space_share:.0e}", f"{row.sum_error:.0e}",
     ]  # fmt: skip
 
 
-def _note(row: Row) -> str | None:
+def _note(row: FilterRow) -> str | None:
     """Return what the filter says about itself, in words."""
     if row.kind == "exact":
         return f"exact: {row.facts['iterations']} iterations to a residual of {row.facts['tolerance']:g}"

@@ -25,7 +25,7 @@ COLUMNS = ("filter", "x", "y", "flow", "growth_per_step", "period_steps", "blow_
 
 
 @dataclass(frozen=True)
-class Axis:
+class MapAxis:
     """A dotted key and the values that it takes."""
 
     key: str
@@ -33,7 +33,7 @@ class Axis:
 
 
 @dataclass(frozen=True)
-class Point:
+class MapPoint:
     """A point of a map: growth is None where `status` says why there is none."""
 
     filter: str
@@ -46,7 +46,7 @@ class Point:
     status: str
 
 
-def parse_axis(text: str) -> Axis:
+def parse_axis(text: str) -> MapAxis:
     """Read KEY=a:b:n, n values evenly from a to b; raises SceneError."""
     key, equals, span = text.partition("=")
     try:
@@ -57,7 +57,7 @@ def parse_axis(text: str) -> Axis:
     except ValueError:
         rule = "must read KEY=FROM:TO:COUNT with two numbers and a whole number above 0, like gas.flow=0:0.5:6"
         raise SceneError([Problem("--map", text, rule)]) from None
-    return Axis(key, tuple(round(float(value), 12) for value in values))
+    return MapAxis(key, tuple(round(float(value), 12) for value in values))
 
 
 def with_value(scene: Scene, key: str, value: float) -> Scene:
@@ -83,7 +83,9 @@ def with_flow(scene: Scene, most: int) -> Scene:
     return Scene.from_dict(data, name=scene.name)
 
 
-def points(scene: Scene, axes: Sequence[Axis], choices: Sequence[Choice], comm: MPI.Comm, most: int) -> Iterator[Point]:
+def points(
+    scene: Scene, axes: Sequence[MapAxis], choices: Sequence[Choice], comm: MPI.Comm, most: int
+) -> Iterator[MapPoint]:
     """Yield every point, filter by filter; flows are rounded to the nearest that recur in `most` steps. Collective."""
     for choice in choices:
         for x, y in product(axes[0].values, axes[1].values):
@@ -95,22 +97,22 @@ def points(scene: Scene, axes: Sequence[Axis], choices: Sequence[Choice], comm: 
             try:
                 growth = analyse(rounded, comm, most)
             except NotConverged as error:
-                yield Point(choice.label, x, y, flow, None, None, None, f"not converged: {error}")
+                yield MapPoint(choice.label, x, y, flow, None, None, None, f"not converged: {error}")
                 continue
-            yield Point(
+            yield MapPoint(
                 choice.label, x, y, flow, growth.growth_per_step, growth.period_steps, growth.blow_up_step, "found"
             )
 
 
 def run(
     scene: Scene,
-    axes: Sequence[Axis],
+    axes: Sequence[MapAxis],
     choices: Sequence[Choice],
     comm: MPI.Comm,
     console: Console,
     output: Path,
     most: int,
-) -> list[Point]:
+) -> list[MapPoint]:
     """Compute the map; write stability-map.csv and stability-map.png into `output`. Collective."""
     if len(axes) != 2:
         raise SceneError([Problem("--map", None, f"a map needs two keys; {len(axes)} given")])
@@ -127,7 +129,7 @@ def run(
     return found
 
 
-def _draw(path: Path, axes: Sequence[Axis], found: Sequence[Point], title: str) -> None:
+def _draw(path: Path, axes: Sequence[MapAxis], found: Sequence[MapPoint], title: str) -> None:
     from mpipic.plots.growth_map import Scale, draw_map
 
     x, y = (Scale(axis.key, np.array(axis.values)) for axis in axes)
@@ -139,7 +141,7 @@ def _draw(path: Path, axes: Sequence[Axis], found: Sequence[Point], title: str) 
     draw_map(path, x, y, growth, BORDER, title)
 
 
-def _write(path: Path, axes: Sequence[Axis], found: Sequence[Point]) -> None:
+def _write(path: Path, axes: Sequence[MapAxis], found: Sequence[MapPoint]) -> None:
     names = {"x": axes[0].key, "y": axes[1].key, "flow": "flow taken"}
     rows = ((p.filter, p.x, p.y, " ".join(map(repr, p.flow)), p.growth, p.period, p.blow_up, p.status) for p in found)
     write_csv(path, [names.get(column, column) for column in COLUMNS], rows)

@@ -197,7 +197,7 @@ def run(
     for case in cases:
         judged.append(judge(case, comm))
         console.message(f"{judged[-1].verdict:4s} {judged[-1].case}: {judged[-1].reason} ({judged[-1].seconds:.1f} s)")
-    console.table(f"{len(judged)} cases on {comm.size} ranks", HEADER, [_cells(item) for item in judged])
+    console.table(f"{len(judged)} cases on {comm.size} ranks", HEADER, [_entries(item) for item in judged])
     bad = [item for item in judged if item.verdict != "good"]
     for item in bad:
         console.fail(f"{item.case}: {item.reason}")
@@ -211,7 +211,7 @@ def run(
 HEADER = ("of", "status", "step", "growth", "predicted", "error", "verdict")
 
 
-def _cells(item: Judgement) -> list[str]:
+def _entries(item: Judgement) -> list[str]:
     def number(value: float | None) -> str:
         return "" if value is None else f"{value:.2e}"
 

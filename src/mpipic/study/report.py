@@ -30,8 +30,8 @@ SHOWN = {
 
 
 @dataclass(frozen=True)
-class Cell:
-    """A cell of a table: its class, what it shows, and what it is sorted by where that is something else."""
+class Entry:
+    """An entry of a table: its class, what it shows, and what it is sorted by where that is something else."""
 
     kind: str
     shown: str
@@ -39,11 +39,11 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Line:
+class TableRow:
     """A row of a table, and its class."""
 
     kind: str
-    cells: tuple[Cell, ...]
+    entries: tuple[Entry, ...]
 
 
 def page(study: Study, rows: Sequence[Row], origin: Origin, picture: Path) -> str:
@@ -62,30 +62,30 @@ def page(study: Study, rows: Sequence[Row], origin: Origin, picture: Path) -> st
     )
 
 
-def _points(rows: Sequence[Row]) -> tuple[Iterable[str], list[Line]]:
+def _points(rows: Sequence[Row]) -> tuple[Iterable[str], list[TableRow]]:
     """Return the headings of the table of points, without those of empty columns, and its lines."""
     measured = [columns(row) for row in rows]
     shown = {key: name for key, name in SHOWN.items() if any(one[key] not in (None, "") for one in measured)}
     lines = []
     for row, one in zip(rows, measured, strict=True):
         kind = "front" if row.on_front else "" if row.is_stable else "failed"
-        lines.append(Line(kind, tuple(_cell(key, one[key]) for key in shown)))
+        lines.append(TableRow(kind, tuple(_entry(key, one[key]) for key in shown)))
     return shown.values(), lines
 
 
-def _order(order: Order) -> Line:
+def _order(order: Order) -> TableRow:
     numbers = {"order": round(order.fit.order, 3), "residual": order.fit.residual, "count": order.fit.count,
                "left_out": order.left_out}  # fmt: skip
-    return Line("", (_cell("label", order.label), *(_cell(key, value) for key, value in numbers.items())))
+    return TableRow("", (_entry("label", order.label), *(_entry(key, value) for key, value in numbers.items())))
 
 
-def _cell(key: str, value: str | float | None) -> Cell:
+def _entry(key: str, value: str | float | None) -> Entry:
     if value is None or value == "":
-        return Cell("empty", "", "")
+        return Entry("empty", "", "")
     if isinstance(value, str):
-        return Cell("message" if key == "message" else "text", value)
+        return Entry("message" if key == "message" else "text", value)
     shown = f"{value / 1e6:.0f}" if key == "peak_memory" else f"{value:,}" if isinstance(value, int) else f"{value:.4g}"
-    return Cell("number", shown, repr(value))
+    return Entry("number", shown, repr(value))
 
 
 def _shared(study: Study) -> str:

@@ -14,9 +14,9 @@ from mpipic.plots.work_precision import Mark
 from mpipic.scene.records import Scene
 from mpipic.scene.text import show
 from mpipic.study.file import NORMS, QUANTITIES, Study
+from mpipic.study.journal import COMPLETED, UNSTABLE, Errors, Machine, Record
 from mpipic.study.pareto import Fit, fit_order, front
 from mpipic.study.points import Axis, Point
-from mpipic.study.records import COMPLETED, UNSTABLE, Errors, Machine, Record
 
 CSV, JSON = "study.csv", "study.json"
 NOT_RUN = "not run"
@@ -207,11 +207,11 @@ def write_table(path: Path, study: Study, rows: Sequence[Row]) -> None:
     for row in rows:
         measured = columns(row)
         values = [*(row.point.values[name] for name in axes), *(measured[name] for name in MEASURED)]
-        lines.append([_cell(value) for value in [*values, *(row.phases.get(name) for name in phases)]])
+        lines.append([_entry(value) for value in [*values, *(row.phases.get(name) for name in phases)]])
     write_csv(path, [*axes, *MEASURED, *(f"seconds_{name}" for name in phases)], lines)
 
 
-def _cell(value: object) -> str | float | None:
+def _entry(value: object) -> str | float | None:
     """Write lists and truth values as scene files do; the rest is as it is."""
     return value if value is None or isinstance(value, (str, float)) else show(value)
 

@@ -29,8 +29,7 @@ from mpipic.files import Unreadable, read_text, write_text
 from mpipic.io.run_directory import SUMMARY
 from mpipic.runtime import RANKS, without_launcher
 from mpipic.scene.text import escape
-from mpipic.study.points import Point
-from mpipic.study.records import (
+from mpipic.study.journal import (
     COMPLETED,
     CRASHED,
     NOT_CONVERGED,
@@ -42,6 +41,7 @@ from mpipic.study.records import (
     Record,
     Told,
 )
+from mpipic.study.points import Point
 
 STATUS_OF_CODE = {0: COMPLETED, 2: REFUSED, 3: UNSTABLE, 4: NOT_CONVERGED}
 SCENES = "scenes"

@@ -17,9 +17,9 @@ from mpipic.plots.work_precision import draw_work_precision
 from mpipic.scene.records import Problem, SceneError
 from mpipic.study import report
 from mpipic.study.file import Study, load
+from mpipic.study.journal import COMPLETED, FAILED, UNSTABLE, Journal, Record
 from mpipic.study.pareto import cheapest, most_accurate
 from mpipic.study.points import Point, words
-from mpipic.study.records import COMPLETED, FAILED, UNSTABLE, Record, Records
 from mpipic.study.results import (
     CSV,
     JSON,
@@ -62,14 +62,14 @@ def run(
     study = load(path)
     _check_launcher(study)
     folder = output or Path("runs") / study.name
-    records = _open(folder, fresh)
+    journal = _open(folder, fresh)
     try:
-        records.forget(study.points, study.settings.timeout, FAILED if retry else ())
+        journal.forget(study.points, study.settings.timeout, FAILED if retry else ())
         write_scenes(folder, study.points)
-        finished = _run_all(study, folder, records, console)
-        runs = [records.of(point) for point in study.points]
+        finished = _run_all(study, folder, journal, console)
+        runs = [journal.of(point) for point in study.points]
     finally:
-        records.close()
+        journal.close()
     rows = sum_up(study, runs)
     _write(study, folder, rows, runs, command)
     _say(study, rows, console)
@@ -88,14 +88,14 @@ def _check_launcher(study: Study) -> None:
         raise SceneError([Problem("ranks", None, "needs mpiexec, and there is none; name one by MPIPIC_MPIEXEC")])
 
 
-def _open(folder: Path, fresh: bool) -> Records:
+def _open(folder: Path, fresh: bool) -> Journal:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"output folder {folder} cannot be created: {error.strerror or error}") from None
-    records = Records(folder, fresh)
+    journal = Journal(folder, fresh)
     _clear(folder)
-    return records
+    return journal
 
 
 def _clear(folder: Path) -> None:
@@ -107,21 +107,21 @@ def _clear(folder: Path) -> None:
 # ------------------------------------------------------------ running
 
 
-def outstanding(study: Study, records: Records) -> list[tuple[Point, int]]:
+def outstanding(study: Study, journal: Journal) -> list[tuple[Point, int]]:
     """Return what is still to be run, (point, repeat): every point once, then again; never what has failed."""
     first: dict[str, Point] = {point.id: point for point in study.points}
     found = []
     for repeat in range(1, study.settings.repeats + 1):
         for point in first.values():
-            done = records.of(point)
+            done = journal.of(point)
             if all(r["status"] == COMPLETED for r in done) and repeat not in {r["repeat"] for r in done}:
                 found.append((point, repeat))
     return found
 
 
-def _run_all(study: Study, folder: Path, records: Records, console: Console) -> bool:
+def _run_all(study: Study, folder: Path, journal: Journal, console: Console) -> bool:
     """Run what is outstanding; False if interrupted."""
-    due = outstanding(study, records)
+    due = outstanding(study, journal)
     total = len({point.id for point in study.points}) * study.settings.repeats
     console.message(f"{study.title}: {len(study.points)} points, {len(due)} of {total} runs to do, results in {folder}")
     failed: set[str] = set()
@@ -131,7 +131,7 @@ def _run_all(study: Study, folder: Path, records: Records, console: Console) -> 
                 if point.id in failed:
                     continue
                 record = run_once(point, scene_file(folder, point), repeat, study.settings.timeout)
-                records.add(record)
+                journal.add(record)
                 if record["status"] != COMPLETED:
                     failed.add(point.id)
                 console.message(f"[{number}/{len(due)}] {point.label}, run {repeat}: {_outcome(record, study)}")
@@ -223,7 +223,7 @@ def _note(study: Study, rows: Sequence[Row]) -> str:
 def _say(study: Study, rows: Sequence[Row], console: Console) -> None:
     norm = study.settings.error.replace(".", " ")
     header = ("scheme", "resolution", norm, "seconds", "from..to", "MB", "front")
-    console.table(study.title, header, [_cells(row) for row in rows])
+    console.table(study.title, header, [_entries(row) for row in rows])
     found = orders(rows)
     if found:
         cells = [
@@ -246,7 +246,7 @@ def _warn_of_mixture(runs: Sequence[Sequence[Record]], console: Console) -> None
             console.warning(f"these are runs of {count} different {what}; --fresh measures everything again")
 
 
-def _cells(row: Row) -> list[str]:
+def _entries(row: Row) -> list[str]:
     spent, memory, point = row.seconds, row.peak_memory, row.point
     return [
         point.scheme, point.resolution.replace(" x ", "x"), row.status if row.error is None else f"{row.error:.3e}",

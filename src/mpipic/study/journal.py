@@ -71,8 +71,8 @@ class Record(Told):
     machine: Machine
 
 
-class Records:
-    """Every run in DIR/points.jsonl, a line each, forced to disk as it ends; of two lines for one run the later counts.
+class Journal:
+    """Keeps every run in DIR/points.jsonl, a line each, forced to disk as it ends; the later line for a run counts.
 
     Raises
     ------
