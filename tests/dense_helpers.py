@@ -16,8 +16,11 @@ Nodes are numbered as an array of shape `cells` in C order: the last axis runs f
 from __future__ import annotations
 
 from functools import cached_property, reduce
+from itertools import product
 
 import numpy as np
+
+from covering_helpers import cover
 
 ON_NODE = 1e-10
 
@@ -202,6 +205,29 @@ GRIDS = {
     "3D, aspect 1e6": ((3, 2, 4), (1e-3, 1.0, 1e3)),
 }
 """Name to (cells, length)."""
+
+
+def _size(box):
+    return "long cells" if "aspect" in box else "small" if min(GRIDS[box][0]) <= 2 else "roomy"
+
+
+def _meetings(row):
+    *others, box, name = row
+    dim, size = len(GRIDS[box][0]), _size(box)
+    met = {("dimension", dim, name), ("size", size, name), box}
+    if name == "random":
+        met.add((dim, size))
+    for number, other in enumerate(others):
+        met |= {(number, other, box), (number, other, name)}
+        met |= {(number, other, more, another) for more, another in enumerate(others) if more > number}
+    return met
+
+
+def few_cases(*others, boxes=GRIDS, names=PATTERNS):
+    """Few rows (*others, grid, pattern): every pattern in every dimension and on grids of every size, random particles
+    on every size in every dimension; and each value of another factor on every grid and with every pattern.
+    """
+    return cover(list(product(*others, boxes, names)), _meetings)
 
 
 def close(actual, wanted, tolerance=1e-12, scale=None):

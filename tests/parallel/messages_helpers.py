@@ -89,7 +89,7 @@ def count_calls(holder: Any, seen: set[int]) -> int:
     return found
 
 
-STEPS = 12
+STEPS, RUN = 6, 500
 HALO = ("SFReduceBegin", "SFReduceEnd", "SFBcastBegin", "SFBcastEnd")
 VECTORS = ("VecNorm", "VecDot", "VecTDot", "VecMDot", "VecReduceComm", "VecMax", "VecSum")
 
@@ -132,10 +132,10 @@ def case_step() -> Any:
 
 
 def case_run() -> Any:
-    """What is called on communicators in a run of 1200 steps, besides the neighbours'."""
+    """What is called on communicators in a run of `RUN` steps, besides the neighbours'."""
     if COMM.size > 2:
         return None
-    scene = Scene.load(None, ["grid.cells=[16]", "gas.flow=[0.5]", "time.cfl=0.2", "time.steps=1200"])
+    scene = Scene.load(None, ["grid.cells=[16]", "gas.flow=[0.5]", "time.cfl=0.2", f"time.steps={RUN}"])
     simulation = Simulation(scene, COMM)
     count_calls(simulation, set())
     Counting.calls.clear()

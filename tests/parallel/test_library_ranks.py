@@ -67,27 +67,27 @@ def dense(dim: int, distribution: str) -> tuple[np.ndarray, list[np.ndarray]]:
     return phi, slopes
 
 
-EVERYWHERE = list(product((1, 2, 3), program.DISTRIBUTIONS, RANKS))
+everywhere = pytest.mark.parametrize(("dim", "distribution"), list(product((1, 2, 3), program.DISTRIBUTIONS)))
 
 
-@pytest.mark.parametrize(("dim", "distribution", "ranks"), EVERYWHERE)
+@everywhere
 def test_values_go_to_the_owners_and_come_back_in_the_callers_order(
-    answers: Callable[..., Answer], dim: int, distribution: str, ranks: int
+    answers: Callable[..., Answer], dim: int, distribution: str
 ) -> None:
-    found, whole = answers(dim, distribution, ranks), program.particles(dim, distribution)
-    assert np.array_equal(found["ids"], np.arange(program.COUNT))
-    assert np.array_equal(found["round_trip"], whole["scalar"])
-    assert np.array_equal(found["round_trip_vector"], whole["vector"])
-    if ranks > 1:
-        assert np.count_nonzero(found["owner"] != found["holder"]) > program.COUNT / 8, "few were placed elsewhere"
-        assert (set(found["owner"]) == set(range(ranks))) == (distribution != "corner"), "ranks that own particles"
+    whole = program.particles(dim, distribution)
+    for ranks in RANKS:
+        found = answers(dim, distribution, ranks)
+        assert np.array_equal(found["ids"], np.arange(program.COUNT)), ranks
+        assert np.array_equal(found["round_trip"], whole["scalar"]), ranks
+        assert np.array_equal(found["round_trip_vector"], whole["vector"]), ranks
+        if ranks > 1:
+            assert np.count_nonzero(found["owner"] != found["holder"]) > program.COUNT / 8, "few were placed elsewhere"
+            assert (set(found["owner"]) == set(range(ranks))) == (distribution != "corner"), "ranks that own particles"
 
 
-@pytest.mark.parametrize(("dim", "distribution", "ranks"), EVERYWHERE)
-def test_mapping_and_filter_are_the_dense_matrices(
-    answers: Callable[..., Answer], dim: int, distribution: str, ranks: int
-) -> None:
-    found, whole = answers(dim, distribution, ranks), program.particles(dim, distribution)
+@everywhere
+def test_mapping_and_filter_are_the_dense_matrices(answers: Callable[..., Answer], dim: int, distribution: str) -> None:
+    whole = program.particles(dim, distribution)
     phi, slopes = dense(dim, distribution)
     weights = phi.sum(axis=0)
     means = np.divide(phi.T, weights[:, None], out=np.zeros_like(phi.T), where=weights[:, None] > 0)
@@ -99,10 +99,12 @@ def test_mapping_and_filter_are_the_dense_matrices(
         "divergence": np.sum([slope @ nodal[:, axis] for axis, slope in enumerate(slopes)], axis=0),
         "sums": whole["vector"].sum(axis=0),
     }
-    for name, values in expected.items():
-        difference = float(np.abs(found[name] - values).max())
-        assert difference < 1e-12 * float(np.abs(values).max()), name
-    assert abs(float(found["weights"]) - program.COUNT) < 1e-10
+    for ranks in RANKS:
+        found = answers(dim, distribution, ranks)
+        for name, values in expected.items():
+            difference = float(np.abs(found[name] - values).max())
+            assert difference < 1e-12 * float(np.abs(values).max()), (ranks, name)
+        assert abs(float(found["weights"]) - program.COUNT) < 1e-10, ranks
     changed = float(np.abs(expected["local"] - whole["scalar"]).max())
     assert changed > 0.1, "a filter that does nothing must not pass"
 
@@ -117,15 +119,15 @@ def projection(phi: np.ndarray, weight: np.ndarray | None = None) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kind", ["exact", "svd"])
-@pytest.mark.parametrize(("dim", "distribution", "ranks"), EVERYWHERE)
+@everywhere
 def test_the_global_filters_are_the_dense_projection(
-    answers: Callable[..., Answer], dim: int, distribution: str, ranks: int, kind: str
+    answers: Callable[..., Answer], dim: int, distribution: str, kind: str
 ) -> None:
-    found, whole = answers(dim, distribution, ranks), program.particles(dim, distribution)
+    whole = program.particles(dim, distribution)
     keep = projection(dense(dim, distribution)[0])
-    for name, values in ((kind, whole["scalar"]), (f"{kind}_vector", whole["vector"])):
-        expected = keep @ values
-        assert float(np.abs(found[name] - expected).max()) < TOLERANCE[kind]
+    for ranks, (name, values) in product(RANKS, ((kind, whole["scalar"]), (f"{kind}_vector", whole["vector"]))):
+        found, expected = answers(dim, distribution, ranks), keep @ values
+        assert float(np.abs(found[name] - expected).max()) < TOLERANCE[kind], ranks
         assert float(np.abs(expected - found[name.replace(kind, "local")]).max()) > 0.1, "not the local filter"
 
 

@@ -77,29 +77,35 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, int], Re
     return simulated(tmp_path_factory.mktemp("schemes"), CASES)
 
 
-SEVERAL = [(name, ranks) for name, (_, wanted) in CASES.items() for ranks in wanted if ranks > 1]
-every_case = pytest.mark.parametrize(("name", "ranks"), SEVERAL)
+every_case = pytest.mark.parametrize("name", CASES)
+
+
+def several(results: Callable[..., Result], name: str) -> list[tuple[int, Result]]:
+    """The case on all its numbers of ranks above 1."""
+    return [(ranks, results(name, ranks)) for ranks in CASES[name][1] if ranks > 1]
 
 
 @every_case
-def test_particles_end_the_same_on_any_number_of_ranks(results: Callable[..., Result], name: str, ranks: int) -> None:
-    one, many = results(name, 1), results(name, ranks)
-    assert one.completed and many.completed
-    assert np.array_equal(many.coordinate, one.coordinate), "positions follow the same arithmetic everywhere"
-    for field in ("density", "velocity"):
-        start, expected, found = getattr(one, f"{field}_before"), getattr(one, field), getattr(many, field)
-        assert np.abs(expected - start).max() > 1e-2 * np.abs(one.density).max(), "nothing happened"
-        assert np.abs(found - expected).max() <= TOLERANCE * np.abs(expected).max(), field
+def test_particles_end_the_same_on_any_number_of_ranks(results: Callable[..., Result], name: str) -> None:
+    one = results(name, 1)
+    for ranks, many in several(results, name):
+        assert one.completed and many.completed
+        assert np.array_equal(many.coordinate, one.coordinate), f"{ranks}: the same arithmetic moves them everywhere"
+        for field in ("density", "velocity"):
+            start, expected, found = getattr(one, f"{field}_before"), getattr(one, field), getattr(many, field)
+            assert np.abs(expected - start).max() > 1e-2 * np.abs(one.density).max(), "nothing happened"
+            assert np.abs(found - expected).max() <= TOLERANCE * np.abs(expected).max(), (ranks, field)
 
 
 @every_case
-def test_particles_changed_rank_and_none_was_lost(results: Callable[..., Result], name: str, ranks: int) -> None:
-    many = results(name, ranks)
-    total = len(many.ids)
-    assert np.array_equal(many.ids, np.arange(total)) and np.all(many.counts.sum(axis=0) == total)
-    assert np.array_equal(many.owner, many.rank)
-    assert np.count_nonzero(many.rank != many.rank_before) > 0
-    assert many.migrated[:, -1].sum() > total / 8 and np.all(many.migrated[:, -1] > 0), "every rank was sent some"
+def test_particles_changed_rank_and_none_was_lost(results: Callable[..., Result], name: str) -> None:
+    for ranks, many in several(results, name):
+        total = len(many.ids)
+        assert np.array_equal(many.ids, np.arange(total)) and np.all(many.counts.sum(axis=0) == total), ranks
+        assert np.array_equal(many.owner, many.rank), ranks
+        assert np.count_nonzero(many.rank != many.rank_before) > 0, ranks
+        assert many.migrated[:, -1].sum() > total / 8, ranks
+        assert np.all(many.migrated[:, -1] > 0), f"{ranks}: every rank was sent some"
 
 
 @pytest.mark.parametrize(

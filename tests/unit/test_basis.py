@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from covering_helpers import covering
 from dense_helpers import close, pattern
 from mpipic.mapping.mapping import Mapping
 from serial_helpers import ghosted, grid_of, on_nodes
@@ -85,10 +86,8 @@ def test_products_of_linear_functions_are_interpolated_exactly(dim):
 SIDES = {0.0: "right", -1e-11: "right", -9e-11: "right", 1e-11: "right", -1.1e-10: "left", -1e-9: "left", -1e-6: "left"}
 
 
-@every_dimension
-@pytest.mark.parametrize("offset, side", SIDES.items())
-@pytest.mark.parametrize("node", [0, 1, 3])
-def test_a_particle_on_a_node_or_just_left_of_it_takes_the_slope_of_the_right_hand_cell(dim, offset, side, node):
+@pytest.mark.parametrize(("dim", "offset", "node"), covering(2, (1, 2, 3), SIDES, (0, 1, 3)))
+def test_a_particle_on_a_node_or_just_left_of_it_takes_the_slope_of_the_right_hand_cell(dim, offset, node):
     """Every axis in turn: the particle lies in the middle of a cell along the others. Node 0 is the seam."""
     cells, length = (4, 5, 8)[:dim], (4.0, 10.0, 2.0)[:dim]
     grid = grid_of(cells, length)
@@ -102,7 +101,7 @@ def test_a_particle_on_a_node_or_just_left_of_it_takes_the_slope_of_the_right_ha
             if other != axis:
                 line = 0.5 * (line.take(1, axis=other) + line.take(2, axis=other))
         right, here, left = line[(node + 1) % cells[axis]], line[node], line[node - 1]
-        expected = (right - here if side == "right" else here - left) / grid.h[axis]
+        expected = (right - here if SIDES[offset] == "right" else here - left) / grid.h[axis]
         slope = mapping.gradient(ghosted(grid, values.ravel()))[0, axis]
         assert slope == pytest.approx(expected, rel=1e-8)
 

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from covering_helpers import covering
 from mpipic.physics.acoustics import solutions as exact
 from mpipic.physics.acoustics.solutions import PROFILES, CosineSeries, Gas, gaussian_waves, periodic_gaussian, solution
 
@@ -72,9 +73,7 @@ def test_at_time_zero_the_density_is_the_formula_and_the_gas_rests(profile, d):
     assert np.all(velocity == 0.0) and velocity.shape == (60, d)
 
 
-@every_profile
-@every_dimension
-@pytest.mark.parametrize("flow", FLOWS)
+@pytest.mark.parametrize(("profile", "d", "flow"), covering(2, PROFILES, (1, 2, 3), FLOWS))
 def test_the_equations_hold(profile, d, flow):
     exact_solution = build(profile, d, flow=flow)
     x, t, h = points(d, 40), 0.37, 1e-3
@@ -273,10 +272,9 @@ def test_a_long_time_costs_no_accuracy(profile):
         np.testing.assert_allclose(a, b, rtol=0, atol=1e-14)
 
 
-@every_profile
-@every_dimension
-@pytest.mark.parametrize("sound_speed", [1e-12, 1e12])
-@pytest.mark.parametrize("rest_density", [1e-12, 1e12])
+@pytest.mark.parametrize(
+    ("profile", "d", "sound_speed", "rest_density"), covering(2, PROFILES, (1, 2, 3), (1e-12, 1e12), (1e-12, 1e12))
+)
 def test_extreme_constants_only_scale_the_velocity(profile, d, sound_speed, rest_density):
     x = points(d, 50)
     with warnings.catch_warnings(), np.errstate(over="raise", invalid="raise", divide="raise"):
@@ -287,9 +285,7 @@ def test_extreme_constants_only_scale_the_velocity(profile, d, sound_speed, rest
     np.testing.assert_allclose(extreme[1] * (rest_density / sound_speed), plain[1], rtol=0, atol=1e-12)
 
 
-@every_profile
-@every_dimension
-@pytest.mark.parametrize("t", [0.0, 0.5])
+@pytest.mark.parametrize(("profile", "d", "t"), covering(2, PROFILES, (1, 2, 3), (0.0, 0.5)))
 def test_any_memory_layout_gives_the_same_values(profile, d, t):
     x, exact_solution = points(d, 101), build(profile, d)
     kept = x.copy()
@@ -305,9 +301,7 @@ def test_any_memory_layout_gives_the_same_values(profile, d, t):
         np.testing.assert_array_equal(a, b)
 
 
-@every_profile
-@every_dimension
-@pytest.mark.parametrize("t", [0.0, 0.5])
+@pytest.mark.parametrize(("profile", "d", "t"), covering(2, PROFILES, (1, 2, 3), (0.0, 0.5)))
 def test_no_points_give_empty_fields(profile, d, t):
     density, velocity = build(profile, d)(np.empty((0, d)), t)
     assert density.shape == (0,) and velocity.shape == (0, d)

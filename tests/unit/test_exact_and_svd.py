@@ -6,17 +6,17 @@ from itertools import product
 import numpy as np
 import pytest
 
-from dense_helpers import GRIDS, PATTERNS, Dense, close, pattern
+from covering_helpers import covering
+from dense_helpers import GRIDS, Dense, close, few_cases, pattern
 from mpipic.filters import ExactFilter, LocalFilter, OrderFilter, SvdFilter
 from mpipic.mapping.mapping import Mapping
 from serial_helpers import case, grid_of, make, on_nodes, values
 
-every_grid = pytest.mark.parametrize("box", GRIDS)
-every_pattern = pytest.mark.parametrize("name", PATTERNS)
 ROOMY = {"1D": ((24,), (1.3,)), **{box: GRIDS[box] for box in ("2D", "2D, aspect 1e6", "3D")}}
 roomy = pytest.mark.parametrize("box", ROOMY)
-spread = pytest.mark.parametrize("name", ["random", "jittered", "lattice"])
-both = pytest.mark.parametrize("kind", ["exact", "svd"])
+KINDS, SPREAD = ("exact", "svd"), ("random", "jittered", "lattice")
+spread = pytest.mark.parametrize("name", SPREAD)
+both = pytest.mark.parametrize("kind", KINDS)
 
 
 def projection_of(kind, mapping):
@@ -60,9 +60,7 @@ def test_exact_svd_and_a_dense_decomposition_are_one_operator(box, name):
     assert np.abs(svd - q).max() > 0.1 and np.abs(svd - LocalFilter(mapping).apply(q)).max() > 0.1
 
 
-@both
-@roomy
-@spread
+@pytest.mark.parametrize(("kind", "box", "name"), covering(2, KINDS, ROOMY, SPREAD))
 def test_the_operator_is_a_symmetric_projection(kind, box, name):
     projection, dense = matrix_case(kind, box, name)
     noisy(dense)
@@ -71,9 +69,7 @@ def test_the_operator_is_a_symmetric_projection(kind, box, name):
     assert np.trace(projection) == pytest.approx(np.linalg.matrix_rank(dense.phi), abs=1e-8)
 
 
-@both
-@roomy
-@spread
+@pytest.mark.parametrize(("kind", "box", "name"), covering(2, KINDS, ROOMY, SPREAD))
 def test_what_the_nodes_see_stays_and_so_do_constants(kind, box, name):
     """S P = S, Φ survives, P 1 = 1."""
     projection, dense = matrix_case(kind, box, name)
@@ -83,9 +79,7 @@ def test_what_the_nodes_see_stays_and_so_do_constants(kind, box, name):
     close(projection.sum(axis=1), np.ones(len(projection)), 1e-10)
 
 
-@both
-@roomy
-@spread
+@pytest.mark.parametrize(("kind", "box", "name"), covering(2, KINDS, ROOMY, SPREAD))
 def test_filtering_twice_is_filtering_once(kind, box, name):
     mapping, dense = roomy_case(box, name)
     filter_, q = projection_of(kind, mapping), noisy(dense)
@@ -98,9 +92,7 @@ def test_filtering_twice_is_filtering_once(kind, box, name):
 # ---------------------------------------------------------------- any pattern
 
 
-@both
-@every_grid
-@every_pattern
+@pytest.mark.parametrize(("kind", "box", "name"), few_cases(KINDS))
 def test_fewer_particles_than_nodes_coincident_ones_and_empty_cells_are_projected_too(kind, box, name):
     grid, position, dense = case(box, name)
     q = values(len(position), 2)
@@ -130,8 +122,7 @@ def test_no_particles_at_all_are_nothing_to_filter(kind):
     assert projection_of(kind, mapping).apply(np.empty((0, 3))).shape == (0, 3)
 
 
-@every_grid
-@pytest.mark.parametrize("name", ["few", "one", "coincident", "all in one cell", "random"])
+@pytest.mark.parametrize(("box", "name"), few_cases(names=("few", "one", "coincident", "all in one cell", "random")))
 def test_nodes_that_no_particle_sees_get_exactly_zero(box, name):
     grid, position, dense = case(box, name)
     mapping = Mapping(grid, position)
@@ -171,17 +162,12 @@ def test_a_series_of_order_k_converges_to_exact(box, name):
 # ---------------------------------------------------------------- particles of different weight
 
 
-weighted_grids = pytest.mark.parametrize("box", ["1D", "2D", "3D"])
-
-
 def weights_of(position, seed=2):
     """From 0.1 to 10, most of them near neither end."""
     return 10.0 ** np.random.default_rng(seed).uniform(-1.0, 1.0, len(position))
 
 
-@both
-@weighted_grids
-@spread
+@pytest.mark.parametrize(("kind", "box", "name"), covering(2, KINDS, ("1D", "2D", "3D"), SPREAD))
 def test_with_weights_the_projection_is_orthogonal_in_their_inner_product(kind, box, name):
     cells, length = ROOMY[box]
     position = pattern(name, cells, length)
@@ -196,9 +182,10 @@ def test_with_weights_the_projection_is_orthogonal_in_their_inner_product(kind, 
     assert np.abs(projection - Dense(cells, length, position).projection()).max() > 0.1
 
 
-@both
-@weighted_grids
-@pytest.mark.parametrize("name", ["few", "one", "coincident", "all in one cell", "crowd", "on nodes"])
+@pytest.mark.parametrize(
+    ("kind", "box", "name"),
+    covering(2, KINDS, ("1D", "2D", "3D"), ("few", "one", "coincident", "all in one cell", "crowd", "on nodes")),
+)
 def test_with_weights_any_pattern_is_projected_too(kind, box, name):
     cells, length = GRIDS[box]
     position = pattern(name, cells, length)

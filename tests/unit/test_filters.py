@@ -4,17 +4,19 @@ import numpy as np
 import pytest
 
 from covering_helpers import covering
-from dense_helpers import GRIDS, PATTERNS, Dense, close, pattern
+from dense_helpers import GRIDS, Dense, close, few_cases, pattern
 from mpipic.filters import FILTERS, Filter, LocalFilter, NodalFilter
 from mpipic.mapping.mapping import Mapping
 from serial_helpers import allowed, ghosted, grid_of, make, on_nodes, sweep_of
 
 every_kind = pytest.mark.parametrize("kind", sorted(FILTERS))
 every_nodal_kind = pytest.mark.parametrize("kind", [k for k in sorted(FILTERS) if issubclass(FILTERS[k], NodalFilter)])
-every_grid = pytest.mark.parametrize("box", GRIDS)
-every_pattern = pytest.mark.parametrize("name", PATTERNS)
-covered = pytest.mark.parametrize(("kind", "box", "name"), covering(2, sorted(FILTERS), GRIDS, PATTERNS))
-roomy = pytest.mark.parametrize("box", ["1D", "2D", "2D, aspect 1e6", "3D"])
+covered = pytest.mark.parametrize(("kind", "box", "name"), few_cases(sorted(FILTERS)))
+ROOMY = ["1D", "2D", "2D, aspect 1e6", "3D"]
+some = pytest.mark.parametrize(
+    ("kind", "box", "name"), covering(2, sorted(FILTERS), ROOMY, ("random", "lattice", "few", "coincident"))
+)
+roomy = pytest.mark.parametrize("box", ROOMY)
 
 
 def case(box, name, kind):
@@ -39,23 +41,21 @@ def test_the_registry_holds_every_filter_under_its_kind():
     assert {kind for kind, cls in FILTERS.items() if not issubclass(cls, NodalFilter)} == {"svd"}
 
 
-@every_kind
-@every_grid
-@every_pattern
+@covered
 def test_a_filter_is_its_formula(kind, box, name):
     filter_, dense = case(box, name, kind)
     q = noise(len(dense.phi))
     close(filter_.apply(q), dense.filter(kind) @ q, allowed(kind, 1e-12), scale=np.abs(q).max())
 
 
-@covered
+@some
 def test_a_filter_keeps_constants(kind, box, name):
     filter_, dense = case(box, name, kind)
     ones = np.ones(len(dense.phi))
     close(filter_.apply(ones), ones, allowed(kind, 1e-13))
 
 
-@covered
+@some
 def test_a_filter_conserves_the_sum(kind, box, name):
     filter_, dense = case(box, name, kind)
     q = noise(len(dense.phi), 2) + 0.1
@@ -70,9 +70,9 @@ def test_a_filter_is_linear(kind, box):
     close(filter_.apply(2.0 * a - 3.0 * b), 2.0 * filter_.apply(a) - 3.0 * filter_.apply(b), allowed(kind, 1e-12))
 
 
-@every_kind
-@roomy
-@pytest.mark.parametrize("name", ["random", "jittered", "lattice"])
+@pytest.mark.parametrize(
+    ("kind", "box", "name"), covering(2, sorted(FILTERS), ROOMY, ("random", "jittered", "lattice"))
+)
 def test_a_filter_removes_what_no_node_sees(kind, box, name):
     """First that there is much to remove: of noise, more than half."""
     filter_, dense = case(box, name, kind)
@@ -203,7 +203,7 @@ def test_with_weights_a_filter_is_its_weighted_formula(kind, box, name):
     close(filter_.apply(q), dense.filter(kind) @ q, allowed(kind, 1e-12), scale=scale)
 
 
-@covered
+@some
 def test_with_weights_a_filter_conserves_the_weighted_sum_and_keeps_constants(kind, box, name):
     filter_, _, weight = weighted_case(box, name, kind)
     q = noise(len(weight), 2) + 0.1
@@ -212,9 +212,7 @@ def test_with_weights_a_filter_conserves_the_weighted_sum_and_keeps_constants(ki
     close(filter_.apply(np.ones(len(weight))), np.ones(len(weight)), allowed(kind, 1e-13), scale=10.0)
 
 
-@every_kind
-@pytest.mark.parametrize("box", ["1D", "2D", "3D"])
-@pytest.mark.parametrize("uniform", [1.0, 2.5])
+@pytest.mark.parametrize(("kind", "box", "uniform"), covering(2, sorted(FILTERS), ("1D", "2D", "3D"), (1.0, 2.5)))
 def test_equal_weights_are_as_good_as_none_and_different_ones_are_not(kind, box, uniform):
     filter_, _, weight = weighted_case(box, "random", kind, uniform)
     plain = make(kind, Mapping(filter_.mapping.grid, pattern("random", *GRIDS[box])))

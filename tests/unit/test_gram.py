@@ -5,7 +5,8 @@ import pytest
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from dense_helpers import GRIDS, PATTERNS, Dense, close, pattern
+from covering_helpers import covering
+from dense_helpers import GRIDS, PATTERNS, Dense, close, few_cases, pattern
 from mpipic.filters import ExactFilter
 from mpipic.mapping.gram_stencil import GramStencil, Penalty
 from mpipic.mapping.mapping import Mapping
@@ -16,7 +17,7 @@ from mpipic.mesh.grid import Grid
 from serial_helpers import case, ghosted, grid_of, on_nodes, values
 from spline_helpers import Splines
 
-every_grid = pytest.mark.parametrize("box", GRIDS)
+any_case = pytest.mark.parametrize(("box", "name"), few_cases())
 every_pattern = pytest.mark.parametrize("name", PATTERNS)
 roomy = pytest.mark.parametrize("box", ["1D", "2D", "3D"])
 
@@ -51,8 +52,7 @@ def scaled_gram(matrix, dense):
 # ---------------------------------------------------------------- the matrix
 
 
-@every_grid
-@every_pattern
+@any_case
 def test_the_stencil_times_a_vector_is_the_scaled_gram_matrix_times_it(box, name):
     mapping, dense = mapped(box, name)
     matrix = GramStencil(mapping)
@@ -61,8 +61,7 @@ def test_the_stencil_times_a_vector_is_the_scaled_gram_matrix_times_it(box, name
     close(times(matrix.mult, np.eye(n)), scaled_gram(matrix, dense), scale=1.0)
 
 
-@every_grid
-@every_pattern
+@any_case
 def test_assembled_entries_are_those_of_the_stencil(box, name):
     mapping, dense = mapped(box, name)
     matrix, n = GramStencil(mapping), mapping.grid.node_count
@@ -129,8 +128,9 @@ def spline_mapping(basis, dim, per_cell=4, weight=False):
     return mapping, Splines(basis, cells, length, position, weights)
 
 
-@pytest.mark.parametrize("weight", [False, True])
-@pytest.mark.parametrize("basis, dim", [(b, d) for b in ("linear", "quadratic", "cubic") for d in (1, 2, 3)])
+@pytest.mark.parametrize(
+    ("basis", "dim", "weight"), covering(2, ("linear", "quadratic", "cubic"), (1, 2, 3), (False, True))
+)
 def test_the_product_is_the_gram_matrix_s_in_every_form(basis, dim, weight):
     mapping, dense = spline_mapping(basis, dim, weight=weight)
     nodal, grid = values(mapping.grid.node_count, 2, 3), mapping.grid
@@ -172,8 +172,7 @@ def test_all_who_solve_with_the_matrix_share_its_stencil():
 # ---------------------------------------------------------------- the preconditioner
 
 
-@every_grid
-@every_pattern
+@any_case
 def test_the_preconditioner_is_symmetric_and_positive_definite_on_every_pattern(box, name):
     """But on nodes that no particle sees, which it leaves at zero."""
     mapping, dense = mapped(box, name)

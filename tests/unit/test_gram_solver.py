@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from petsc4py import PETSc
 
-from dense_helpers import GRIDS, PATTERNS, Dense, close, pattern
+from covering_helpers import covering
+from dense_helpers import GRIDS, Dense, close, few_cases, pattern
 from mpipic.errors import NotConverged
 from mpipic.filters import ExactFilter
 from mpipic.mapping.mapping import Mapping
 from mpipic.mapping.solver import GramSolver
 from serial_helpers import case, ghosted, grid_of, on_nodes, values
 
-every_pattern = pytest.mark.parametrize("name", PATTERNS)
 roomy = pytest.mark.parametrize("box", ["1D", "2D", "3D"])
 
 
@@ -88,9 +88,9 @@ def test_entries_for_preconditioners_are_right_on_one_and_two_cells_too(options,
     assert filter_.iterations <= 2
 
 
-@roomy
-@pytest.mark.parametrize("pc", ["jacobi", "none"])
-@pytest.mark.parametrize("name", ["few", "one", "all in one cell"])
+@pytest.mark.parametrize(
+    ("box", "pc", "name"), covering(2, ("1D", "2D", "3D"), ("jacobi", "none"), ("few", "one", "all in one cell"))
+)
 def test_preconditioners_without_entries_serve_singular_matrices_too(options, box, pc, name):
     mapping, dense = mapped(box, name)
     options(pc_type=pc)
@@ -105,8 +105,7 @@ def test_other_krylov_methods_can_be_chosen(options):
     assert filter_.solver.system(1).ksp.getType() == "gmres"
 
 
-@pytest.mark.parametrize("box", GRIDS)
-@every_pattern
+@pytest.mark.parametrize(("box", "name"), few_cases())
 def test_zero_gives_zero_at_no_cost(box, name):
     mapping, dense = mapped(box, name)
     filter_ = ExactFilter(mapping)
@@ -114,9 +113,10 @@ def test_zero_gives_zero_at_no_cost(box, name):
     assert filter_.iterations == 0
 
 
-@roomy
-@pytest.mark.parametrize("name", ["random", "lattice", "few"])
-@pytest.mark.parametrize("factor", [1e-307, 1e-300, 1e-170, 1e-30, 1e150, 1e250, 1e300])
+@pytest.mark.parametrize(
+    ("box", "name", "factor"),
+    covering(2, ("1D", "2D", "3D"), ("random", "lattice", "few"), (1e-307, 1e-300, 1e-170, 1e-30, 1e150, 1e250, 1e300)),
+)
 def test_values_of_any_size_are_filtered_alike(box, name, factor):
     """Products of two such values under- or overflow."""
     mapping, dense = mapped(box, name)
@@ -140,9 +140,9 @@ def test_a_series_may_change_its_size_by_any_factor(factor):
         close(answer, wanted, 1e-9)
 
 
-@roomy
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("where", [0, 13, -1])
+@pytest.mark.parametrize(
+    ("box", "bad", "where"), covering(2, ("1D", "2D", "3D"), (np.nan, np.inf, -np.inf), (0, 13, -1))
+)
 def test_what_is_no_number_makes_its_column_nan_and_no_other(box, bad, where):
     mapping, dense = mapped(box, "random")
     q = noise(dense, 3)

@@ -169,8 +169,7 @@ def test_no_coordinate_next_to_where_the_last_cell_ends_is_lost(n):
     assert np.all((fraction >= 0) & (fraction < 1))
 
 
-@pytest.mark.parametrize("n", EDGES)
-@pytest.mark.parametrize("move", [0.25, -0.25])
+@pytest.mark.parametrize(("n", "move"), [(n, (0.25, -0.25)[count % 2]) for count, n in enumerate(EDGES)])
 def test_no_particle_that_moves_next_to_where_the_last_cell_ends_is_lost(n, move):
     grid = Grid((n,), (float(n),), MPI.COMM_SELF)
     quantum, tolerance = grid.quantum[0], grid.tolerance[0]

@@ -7,11 +7,14 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
+from covering_helpers import covering
 from mpipic.mesh.grid import Grid
 from mpipic.mesh.halo import Halo, PaddedColumns
 
 CELLS = [(1,), (2,), (3,), (7,), (1, 1), (1, 2), (5, 2), (4, 6), (1, 2, 3), (2, 2, 2), (4, 3, 5)]
 every_block = pytest.mark.parametrize("cells", CELLS, ids=str)
+SOME = [(1,), (7,), (1, 2), (4, 6), (1, 2, 3), (4, 3, 5)]
+some_blocks = pytest.mark.parametrize("cells", SOME, ids=str)
 every_width = pytest.mark.parametrize("width", [1, 2, 3])
 some_reaches = pytest.mark.parametrize("reach", [(0, 1), (1, 2), (2, 0), (0, 0), (2, 2)])
 
@@ -67,9 +70,7 @@ def test_adding_gives_every_node_what_all_its_ghosts_hold_and_leaves_them_their_
     assert np.array_equal(padded[ghosts.ravel()], before[ghosts.ravel()])
 
 
-@every_block
-@every_width
-@pytest.mark.parametrize("columns", [(), (1,), (4,)])
+@pytest.mark.parametrize(("cells", "width", "columns"), covering(2, CELLS, (1, 2, 3), ((), (1,), (4,))), ids=str)
 def test_adding_is_the_transpose_of_filling(cells, width, columns):
     """<fill x, y> = <x, add y>, for every x on own nodes and every y on all."""
     halo = halo_of(cells, width)
@@ -82,7 +83,7 @@ def test_adding_is_the_transpose_of_filling(cells, width, columns):
     assert np.sum(filled * filled) > np.sum(x * x)
 
 
-@every_block
+@some_blocks
 @pytest.mark.parametrize("verb", ["add", "fill"])
 def test_columns_are_exchanged_one_by_one(cells, verb):
     halo = halo_of(cells, 2)
@@ -94,7 +95,7 @@ def test_columns_are_exchanged_one_by_one(cells, verb):
         assert np.array_equal(columns[:, k], alone[k])
 
 
-@every_block
+@some_blocks
 @pytest.mark.parametrize("verb", ["add", "fill"])
 def test_several_arrays_at_once_are_exchanged_as_one_after_the_other(cells, verb):
     """Of different numbers of columns; and the rows of one array, each a column by itself."""
@@ -114,7 +115,7 @@ def test_several_arrays_at_once_are_exchanged_as_one_after_the_other(cells, verb
     assert np.array_equal(rows.T, columns)
 
 
-@every_block
+@some_blocks
 @pytest.mark.parametrize("count", [1, 3])
 def test_columns_kept_apart_are_filled_in_one_exchange_and_loaded_from_own_values(cells, count):
     halo = halo_of(cells, 2)
@@ -132,7 +133,7 @@ def test_columns_kept_apart_are_filled_in_one_exchange_and_loaded_from_own_value
     assert padded.nbytes == rows.nbytes
 
 
-@every_block
+@some_blocks
 @some_reaches
 def test_ghosts_out_of_reach_are_neither_read_nor_written(cells, reach):
     """They hold NaN, which would show."""
@@ -153,7 +154,7 @@ def test_ghosts_out_of_reach_are_neither_read_nor_written(cells, reach):
     assert np.all(np.isnan(flat.reshape(padded.shape)[~inside]))
 
 
-@every_block
+@some_blocks
 @every_width
 def test_own_nodes_are_a_view_with_axes_z_y_x_and_columns_last(cells, width):
     halo = halo_of(cells, width)

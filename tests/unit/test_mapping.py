@@ -4,26 +4,27 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from dense_helpers import GRIDS, PATTERNS, Dense, close, pattern
+from covering_helpers import covering
+from dense_helpers import GRIDS, Dense, close, few_cases, pattern
 from mpipic.mapping.mapping import Mapping
 from mpipic.mesh.grid import Grid
 from serial_helpers import EXACT, case, ghosted, grid_of, on_nodes, values
 
-every_grid = pytest.mark.parametrize("box", GRIDS)
-every_pattern = pytest.mark.parametrize("name", PATTERNS)
+some_case = pytest.mark.parametrize(
+    ("box", "name"), covering(2, ("1D", "2D, aspect 1e6", "3D"), ("random", "few", "on nodes"))
+)
+any_case = pytest.mark.parametrize(("box", "name"), few_cases())
 every_dimension = pytest.mark.parametrize("dim", [1, 2, 3])
 
 
-@every_grid
-@every_pattern
+@any_case
 def test_interpolation_is_the_matrix_phi(box, name):
     grid, position, dense = case(box, name)
     nodal = values(grid.node_count, 3)
     close(Mapping(grid, position).g2p(ghosted(grid, nodal)), dense.phi @ nodal, scale=np.abs(nodal).max())
 
 
-@every_grid
-@every_pattern
+@any_case
 def test_sums_and_row_sums_are_the_transpose_of_phi(box, name):
     grid, position, dense = case(box, name)
     mapping, q = Mapping(grid, position), values(len(position), 2)
@@ -31,8 +32,7 @@ def test_sums_and_row_sums_are_the_transpose_of_phi(box, name):
     close(on_nodes(grid, mapping.weights), dense.d)
 
 
-@every_grid
-@every_pattern
+@any_case
 def test_nodal_means_are_the_matrix_s_and_zero_where_no_particle_is(box, name):
     grid, position, dense = case(box, name)
     q = values(len(position), 2)
@@ -41,8 +41,7 @@ def test_nodal_means_are_the_matrix_s_and_zero_where_no_particle_is(box, name):
     assert np.all(means[~dense.seen] == 0.0)
 
 
-@every_grid
-@every_pattern
+@any_case
 def test_gradients_are_the_matrices_d(box, name):
     grid, position, dense = case(box, name)
     nodal = values(grid.node_count)
@@ -51,8 +50,7 @@ def test_gradients_are_the_matrices_d(box, name):
         close(gradient[:, axis], dense.D[axis] @ nodal, scale=np.abs(nodal).max() / grid.h[axis])
 
 
-@every_grid
-@every_pattern
+@any_case
 def test_the_divergence_is_the_sum_of_the_matrices_d(box, name):
     """On cells of aspect 1e6 too: the field along each axis is as large as the spacing, so that all axes count."""
     grid, position, dense = case(box, name)
@@ -70,8 +68,7 @@ def test_few_particles_leave_nodes_empty_and_the_patterns_are_what_they_say():
     assert len(position) == 7 and len(np.unique(position, axis=0)) == 1
 
 
-@every_grid
-@every_pattern
+@some_case
 def test_p2g_conserves_the_weighted_sum(box, name):
     grid, position, _ = case(box, name)
     mapping, q = Mapping(grid, position), values(len(position))
@@ -79,8 +76,7 @@ def test_p2g_conserves_the_weighted_sum(box, name):
     assert total == pytest.approx(q.sum(), abs=1e-13 * np.abs(q).sum())
 
 
-@every_grid
-@every_pattern
+@some_case
 def test_p2g_keeps_constants_where_particles_are(box, name):
     grid, position, dense = case(box, name)
     means = on_nodes(grid, Mapping(grid, position).p2g(np.full(len(position), 3.0)))
@@ -171,8 +167,7 @@ def weighted_case(box, name):
     return grid_of(cells, length), position, weight, Dense(cells, length, position, weight)
 
 
-@every_grid
-@every_pattern
+@any_case
 def test_with_weights_sums_row_sums_and_means_are_the_weighted_matrices(box, name):
     grid, position, weight, dense = weighted_case(box, name)
     mapping, q = Mapping(grid, position, weight), values(len(position), 2)
@@ -186,8 +181,7 @@ def test_with_weights_sums_row_sums_and_means_are_the_weighted_matrices(box, nam
     close(mapping.p2g(q[:, 0]), mapping.p2g(q)[:, 0], 1e-15)
 
 
-@every_grid
-@every_pattern
+@any_case
 def test_with_weights_the_gram_matrix_is_the_weighted_one(box, name):
     grid, position, weight, dense = weighted_case(box, name)
     mapping, nodal = Mapping(grid, position, weight), values(grid.node_count, 2)
@@ -297,9 +291,9 @@ def test_values_of_any_shape_are_mapped_component_by_component(shape):
         assert np.array_equal(slopes[component], mapping.gradient(alone))
 
 
-@pytest.mark.parametrize("basis", ["linear", "quadratic", "cubic"])
-@pytest.mark.parametrize("dim", [1, 2, 3])
-@pytest.mark.parametrize("shape", [(), (2,)])
+@pytest.mark.parametrize(
+    ("basis", "dim", "shape"), covering(2, ("linear", "quadratic", "cubic"), (1, 2, 3), ((), (2,)))
+)
 def test_the_adjoint_gradient_is_that_of_the_gradient_and_the_divergence_is_its_trace(basis, dim, shape):
     cells, length = EXACT[dim]
     grid = Grid(cells, length, MPI.COMM_SELF, basis)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from petsc4py import PETSc
 
+from covering_helpers import covering
 from dense_helpers import close, pattern
 from mpipic.errors import NotConverged
 from mpipic.physics.acoustics.reference import MovingReference
@@ -65,12 +66,14 @@ def options():
 # ---------------------------------------------------------------- the steps
 
 
-@every_scheme
-@every_dimension
-@pytest.mark.parametrize("cfl, allowed", [(1.0, 1e-11), (20.0, 1e-8)])
-@pytest.mark.parametrize("flow", [(0.0, 0.0), (0.02, -0.3)])
-def test_steps_are_those_of_the_dense_implicit_midpoint_rule(scheme, dim, cfl, allowed, flow):
+@pytest.mark.parametrize(
+    ("scheme", "dim", "cfl", "flow"),
+    covering(2, SCHEMES, (1, 2), (1.0, 20.0), ((0.0, 0.0), (0.02, -0.3))),
+    ids=lambda value: label(value) if isinstance(value, Scheme) else None,
+)
+def test_steps_are_those_of_the_dense_implicit_midpoint_rule(scheme, dim, cfl, flow):
     """The longer the time step, the more of the solvers' residuals, 1e-12, comes through."""
+    allowed = {1.0: 1e-11, 20.0: 1e-8}[cfl]
     box, gas, dt, position, state = case(dim, "jittered", cfl, flow)
     found = run_of(scheme, box, gas, dt, position, state).steps(3).result
     wanted = run_steps(short_step, scheme, gas, dt, *box, position, state, 3)
@@ -188,10 +191,11 @@ def test_after_such_an_error_a_step_can_be_taken_with_enough_of_them(options):
     assert np.isfinite(run_of(GRID, *case(1, cfl=20.0)).steps(1).result[1]).all()
 
 
-@every_scheme
-@every_dimension
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("column", [0, -1])
+@pytest.mark.parametrize(
+    ("scheme", "dim", "bad", "column"),
+    covering(2, SCHEMES, (1, 2), (np.nan, np.inf, -np.inf), (0, -1)),
+    ids=lambda value: label(value) if isinstance(value, Scheme) else None,
+)
 def test_a_state_that_is_no_number_gives_nan_and_no_error(scheme, dim, bad, column):
     box, gas, dt, position, state = case(dim, flow=(0.02, -0.3))
     state[3, column] = bad

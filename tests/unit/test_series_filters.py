@@ -5,6 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from covering_helpers import covering
 from dense_helpers import GRIDS, Dense, close, pattern
 from mpipic.filters import ChebyshevFilter, LocalFilter, OrderFilter, create
 from mpipic.mapping.mapping import Mapping
@@ -26,10 +27,10 @@ def matrix(filter_, n):
     return filter_.apply(np.eye(n))
 
 
-@every_class
-@every_grid
-@pytest.mark.parametrize("name", ["lattice", "jittered", "random", "few"])
-@pytest.mark.parametrize("k", [1, 3, 6])
+@pytest.mark.parametrize(
+    ("cls", "k", "box", "name"),
+    covering(2, SERIES, (1, 3, 6), ("1D", "2D", "3D"), ("lattice", "jittered", "random", "few")),
+)
 def test_a_series_is_its_formula_at_every_order(cls, box, name, k):
     mapping, dense = case(box, name)
     close(matrix(cls(mapping, order=k), len(dense.phi)), SERIES[cls](dense, k), scale=1.0)
@@ -53,9 +54,7 @@ def test_a_series_converges_to_the_projection(cls, box):
     assert np.linalg.norm(matrix(cls(mapping, order=300), n) - exact, 2) < 1e-3
 
 
-@every_grid
-@pytest.mark.parametrize("name", ["lattice", "jittered"])
-@pytest.mark.parametrize("k", [2, 3, 5, 8])
+@pytest.mark.parametrize(("box", "name", "k"), covering(2, ("1D", "2D", "3D"), ("lattice", "jittered"), (2, 3, 5, 8)))
 def test_chebyshev_is_never_further_from_the_projection_than_the_same_order_on_filled_grids(box, name, k):
     mapping, dense = case(box, name)
     n, exact = len(dense.phi), dense.projection()

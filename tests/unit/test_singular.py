@@ -9,15 +9,14 @@ import pytest
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from dense_helpers import GRIDS, PATTERNS, Dense, close, pattern
+from dense_helpers import GRIDS, Dense, close, few_cases, pattern
 from mpipic.filters import ExactFilter, SvdFilter
 from mpipic.filters import row_space as singular
 from mpipic.filters.row_space import RowSpace, TooLarge, available_bytes, bytes_needed, check_memory, describe
 from mpipic.mapping.mapping import Mapping
 from serial_helpers import grid_of, values
 
-every_grid = pytest.mark.parametrize("box", GRIDS)
-every_pattern = pytest.mark.parametrize("name", PATTERNS)
+any_case = pytest.mark.parametrize(("weighted", "box", "name"), few_cases((False, True)))
 weights = pytest.mark.parametrize("weighted", [False, True])
 
 
@@ -33,9 +32,7 @@ def rows_of(box, name, weighted=False):
 # ---------------------------------------------------------------- the basis and its facts
 
 
-@every_grid
-@every_pattern
-@weights
+@any_case
 def test_the_basis_is_orthonormal_and_spans_the_rows(box, name, weighted):
     rows, matrix = rows_of(box, name, weighted)
     assert rows.basis.shape == (matrix.shape[1], rows.facts["rank"]) and rows.nbytes == rows.basis.nbytes
@@ -43,9 +40,7 @@ def test_the_basis_is_orthonormal_and_spans_the_rows(box, name, weighted):
     close(matrix @ rows.basis @ rows.basis.T, matrix)
 
 
-@every_grid
-@every_pattern
-@weights
+@any_case
 def test_rank_cut_and_the_singular_values_at_it_are_those_of_numpy(box, name, weighted):
     rows, matrix = rows_of(box, name, weighted)
     wanted = np.linalg.svd(matrix, compute_uv=False)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
+from covering_helpers import covering
 from dense_helpers import close, pattern
 from mpipic.mapping import sweep as sweeps
 from mpipic.mapping.linear_sweep import LinearSweep
@@ -27,8 +28,6 @@ FLOWS = {
 
 every_basis = pytest.mark.parametrize("basis", DEGREES)
 every_dimension = pytest.mark.parametrize("dim", [1, 2, 3])
-every_flow = pytest.mark.parametrize("flow", FLOWS)
-every_box = pytest.mark.parametrize("boxes", [BOXES, SMALL], ids=["grid", "small grid"])
 
 
 def spline_sweep(basis, boxes, dim, name, flow, cls=SplineSweep):
@@ -82,18 +81,15 @@ def agrees_with_the_dense_matrices(sweep, tolerance=1e-12):
     assert sweep.peak == np.abs(density).max(initial=0.0)
 
 
-@every_basis
-@every_dimension
-@every_box
-@pytest.mark.parametrize("name", ["random", "on nodes", "few", "one", "coincident"])
-def test_a_new_sweep_is_that_of_the_dense_matrices(basis, dim, boxes, name):
-    agrees_with_the_dense_matrices(spline_sweep(basis, boxes, dim, name, "at rest"))
+@pytest.mark.parametrize(
+    ("basis", "dim", "small", "name"),
+    covering(2, DEGREES, (1, 2, 3), (False, True), ("random", "on nodes", "few", "one", "coincident")),
+)
+def test_a_new_sweep_is_that_of_the_dense_matrices(basis, dim, small, name):
+    agrees_with_the_dense_matrices(spline_sweep(basis, SMALL if small else BOXES, dim, name, "at rest"))
 
 
-@every_basis
-@every_dimension
-@every_flow
-@pytest.mark.parametrize("direct", [False, True])
+@pytest.mark.parametrize(("basis", "dim", "direct", "flow"), covering(2, DEGREES, (1, 2, 3), (False, True), FLOWS))
 def test_a_step_gives_particles_what_the_dense_matrices_say_and_moves_them(basis, dim, flow, direct):
     sweep = spline_sweep(basis, BOXES, dim, "random", flow)
     grid = sweep.grid
@@ -118,10 +114,7 @@ def sort_at_every_step(sweep, monkeypatch):
     monkeypatch.setattr(sweep, "_sort_when_due", lambda breaks: sweep._sort())
 
 
-@every_basis
-@every_dimension
-@every_flow
-@pytest.mark.parametrize("name", ["random", "few"])
+@pytest.mark.parametrize(("basis", "dim", "name", "flow"), covering(2, DEGREES, (1, 2, 3), ("random", "few"), FLOWS))
 def test_after_many_steps_a_sweep_is_still_that_of_its_particles_sorted_or_not(basis, dim, flow, name, monkeypatch):
     """Sorted after every step, particles get the same increments: cells stay with them."""
     found = []
@@ -158,9 +151,7 @@ def test_sorting_in_its_own_time_keeps_cells_and_particles_together(basis, dim):
     agrees_with_the_dense_matrices(sweep)
 
 
-@every_dimension
-@every_flow
-@pytest.mark.parametrize("name", ["random", "on nodes", "few"])
+@pytest.mark.parametrize(("dim", "name", "flow"), covering(2, (1, 2, 3), ("random", "on nodes", "few"), FLOWS))
 def test_on_the_linear_basis_it_does_what_the_linear_sweep_does(dim, flow, name):
     one, other = (spline_sweep("linear", BOXES, dim, name, flow, cls) for cls in (LinearSweep, SplineSweep))
     grid = one.grid

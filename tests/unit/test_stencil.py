@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from dense_helpers import GRIDS, PATTERNS, close, pattern
+from covering_helpers import covering
+from dense_helpers import GRIDS, close, few_cases, pattern
 from mpipic.kernels import stencil
 from mpipic.mapping.mapping import Mapping
 from mpipic.mesh.halo import Halo
 from serial_helpers import grid_of, sweep_of
 
-every_grid = pytest.mark.parametrize("box", GRIDS)
-every_pattern = pytest.mark.parametrize("name", PATTERNS)
 every_dimension = pytest.mark.parametrize("dim", [1, 2, 3])
 SHAPES = [(1,), (2,), (9,), (1, 1), (2, 1), (7, 5), (1, 2, 3), (2, 2, 2), (5, 4, 6)]
 every_shape = pytest.mark.parametrize("cells", SHAPES, ids=str)
@@ -58,9 +57,7 @@ def half_diagonals(cells, length, position, weight):
     return out
 
 
-@every_grid
-@every_pattern
-@pytest.mark.parametrize("width", [1, 2, 3])
+@pytest.mark.parametrize(("width", "box", "name"), few_cases((1, 2, 3)))
 def test_entries_from_moments_are_half_the_diagonals_of_the_gram_matrix(box, name, width):
     cells, length = GRIDS[box]
     grid, position = grid_of(cells, length), pattern(name, cells, length)
@@ -111,9 +108,11 @@ def test_rows_become_scaled_diagonals_and_those_beyond_them_are_constant(cells, 
         close(diagonals[h], row * scale * there, 1e-15)
 
 
-@pytest.mark.parametrize("cells", [*SHAPES, (2 * stencil.NODES_AT_ONCE + 7,), (90, 50)], ids=str)
-@pytest.mark.parametrize("columns", [1, 3])
-@pytest.mark.parametrize("count", [1, 2, 3, 4, 14])
+@pytest.mark.parametrize(
+    ("cells", "columns", "count"),
+    covering(2, [*SHAPES, (2 * stencil.NODES_AT_ONCE + 7,), (90, 50)], (1, 3), (1, 2, 3, 4, 14)),
+    ids=str,
+)
 def test_multiplying_takes_every_diagonal_both_ways_and_one_number_on_the_main_one(cells, columns, count):
     """An even number of them, an odd one and none; for every column. diagonals[0] is not read."""
     halo = halo_of(cells, 1)
@@ -149,9 +148,9 @@ def convolve(halo, cells, weights, own):
     return out.reshape(own.shape)
 
 
-@every_shape
-@pytest.mark.parametrize("reach", [1, 2, 5])
-@pytest.mark.parametrize("idle", [(), (0,), (1,), (2,), (0, 1, 2)], ids=str)
+@pytest.mark.parametrize(
+    ("cells", "reach", "idle"), covering(2, SHAPES, (1, 2, 5), ((), (0,), (1,), (2,), (0, 1, 2))), ids=str
+)
 def test_convolving_is_the_product_of_one_stencil_per_axis(cells, reach, idle):
     """`idle` are axes whose stencil is the middle weight alone; on blocks smaller than the stencil too."""
     rng = np.random.default_rng(4)

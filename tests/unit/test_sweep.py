@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from dense_helpers import GRIDS, PATTERNS, Dense, close, pattern
+from covering_helpers import covering
+from dense_helpers import Dense, close, few_cases, pattern
 from mpipic.mapping.linear_sweep import LinearSweep
 from mpipic.mapping.mapping import Mapping
 from serial_helpers import (
@@ -22,8 +23,7 @@ from serial_helpers import (
     values,
 )
 
-every_grid = pytest.mark.parametrize("box", GRIDS)
-every_pattern = pytest.mark.parametrize("name", PATTERNS)
+any_case = pytest.mark.parametrize(("box", "name"), few_cases())
 every_dimension = pytest.mark.parametrize("dim", [1, 2, 3])
 
 
@@ -32,8 +32,7 @@ def random_state(position, dim, seed=8):
     return rng.standard_normal(len(position)), rng.standard_normal((len(position), dim))
 
 
-@every_grid
-@every_pattern
+@any_case
 def test_a_sweep_sums_the_state_as_the_dense_matrices_do(box, name):
     grid, position, dense = case(box, name)
     density, velocity = random_state(position, grid.dim)
@@ -48,8 +47,7 @@ def test_a_sweep_sums_the_state_as_the_dense_matrices_do(box, name):
     assert np.all(means[~dense.seen] == 0.0)
 
 
-@every_grid
-@every_pattern
+@any_case
 def test_a_sweep_knows_the_gram_matrix(box, name):
     grid, position, dense = case(box, name)
     gram = gram_matrix(sweep_of(grid, position))
@@ -58,8 +56,7 @@ def test_a_sweep_knows_the_gram_matrix(box, name):
     close(gram.sum(axis=1), dense.d)
 
 
-@every_grid
-@every_pattern
+@any_case
 def test_a_sweep_knows_the_sums_of_gradients(box, name):
     grid, position, dense = case(box, name)
     sweep, nodal = sweep_of(grid, position), values(grid.node_count)
@@ -69,8 +66,7 @@ def test_a_sweep_knows_the_sums_of_gradients(box, name):
         close(sums[:, axis], wanted, scale=dense.d.max() * np.abs(nodal).max() / grid.h[axis])
 
 
-@every_grid
-@every_pattern
+@any_case
 def test_a_sweep_knows_the_sums_of_divergences(box, name):
     grid, position, dense = case(box, name)
     nodal = values(grid.node_count, grid.dim) * grid.h
@@ -141,7 +137,6 @@ MOVES = {
     "more than a period": (17.40625, -29.71875, 23.1875),
 }
 """Cells a step; multiples of 2^-40, so that no move is rounded."""
-every_move = pytest.mark.parametrize("move", MOVES)
 
 
 def moving_case(dim, name, move):
@@ -166,10 +161,10 @@ def agrees_with_a_new_one(sweep, tolerance=1e-12):
     assert sweep.peak == np.abs(density).max()
 
 
-@every_dimension
-@every_move
-@pytest.mark.parametrize("name", ["random", "lattice", "on nodes", "few"])
-@pytest.mark.parametrize("direct", [False, True])
+@pytest.mark.parametrize(
+    ("dim", "direct", "move", "name"),
+    covering(2, (1, 2, 3), (False, True), MOVES, ("random", "lattice", "on nodes", "few")),
+)
 def test_advance_adds_to_the_particles_what_the_nodes_say_and_moves_them(dim, move, name, direct):
     grid, position, density, velocity, displacement = moving_case(dim, name, move)
     sweep = sweep_of(grid, position, density, velocity, displacement)
@@ -186,9 +181,9 @@ def test_advance_adds_to_the_particles_what_the_nodes_say_and_moves_them(dim, mo
     agrees_with_a_new_one(sweep)
 
 
-@every_dimension
-@every_move
-@pytest.mark.parametrize("name", ["random", "jittered", "lattice", "few", "one"])
+@pytest.mark.parametrize(
+    ("dim", "move", "name"), covering(2, (1, 2, 3), MOVES, ("random", "jittered", "lattice", "few", "one"))
+)
 def test_after_many_steps_a_sweep_is_still_that_of_its_particles(dim, move, name):
     grid, position, density, velocity, displacement = moving_case(dim, name, move)
     sweep = sweep_of(grid, position, density, velocity, displacement)
@@ -259,10 +254,9 @@ def test_ids_stay_with_their_particles_through_moves_and_sorts(dim):
     assert not np.array_equal(sweep.particles.ids, np.arange(len(position)))
 
 
-@every_dimension
-@pytest.mark.parametrize("moving", [True, False])
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("where", [0, 17, -1])
+@pytest.mark.parametrize(
+    ("dim", "moving", "bad", "where"), covering(2, (1, 2, 3), (True, False), (np.nan, np.inf, -np.inf), (0, 17, -1))
+)
 def test_a_value_that_is_no_number_shows_in_the_peak(dim, moving, bad, where):
     grid, position, density, velocity, displacement = moving_case(dim, "random", "slow")
     density[where] = bad
