@@ -3,6 +3,8 @@
 Values are whole numbers, so that sums are exact in any order.
 """
 
+import gc
+
 import numpy as np
 import pytest
 from mpi4py import MPI
@@ -196,3 +198,14 @@ def test_the_nodes_of_a_grid_are_such_a_halo_and_owned_turns_its_axes(cells):
     grid.sum_halo(nodal)
     grid.fill_halo(nodal)
     assert grid.nodes.exchanges == exchanges + 2
+
+
+def test_a_halo_that_is_dropped_gives_its_mpi_types_back():
+    grid = Grid((6, 5), (1.0, 1.0), MPI.COMM_SELF)
+    types = grid.nodes._units
+    grid.fill_halo(grid.zeros(3))
+    assert list(types) == [3] and types[3] != MPI.DATATYPE_NULL
+    item = types[3]
+    del grid
+    gc.collect()
+    assert types == {} and item == MPI.DATATYPE_NULL

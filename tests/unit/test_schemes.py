@@ -107,7 +107,7 @@ def test_sorted_after_every_step_particles_take_the_same_steps(scheme, monkeypat
     box, gas, dt, position, state = case(1, "random")
     plain = take(scheme, box, gas, dt, position, state, 4)
     run = Run(scheme, *box, gas, dt, position, state)
-    monkeypatch.setattr(run.sweep, "_sort_when_due", lambda breaks: run.sweep._sort())
+    monkeypatch.setattr(run.sweep, "sort_when_due", lambda breaks: run.sweep.sort())
     run.steps(4)
     assert run.sweep.sorts == 5 and not np.array_equal(run.sweep.particles.ids, plain.sweep.particles.ids)
     for found, expected in zip(run.result, plain.result):

@@ -111,7 +111,7 @@ def test_a_step_gives_particles_what_the_dense_matrices_say_and_moves_them(basis
 
 
 def sort_at_every_step(sweep, monkeypatch):
-    monkeypatch.setattr(sweep, "_sort_when_due", lambda breaks: sweep._sort())
+    monkeypatch.setattr(sweep, "sort_when_due", lambda breaks: sweep.sort())
 
 
 @pytest.mark.parametrize(("basis", "dim", "name", "flow"), covering(2, DEGREES, (1, 2, 3), ("random", "few"), FLOWS))
@@ -184,7 +184,7 @@ def test_transposed_sums_are_the_transposes_of_the_sums(basis, dim):
         forth, back = x @ divergence_sums(sweep, y), np.sum(y * transposed_sums(sweep, x))
         assert forth == pytest.approx(back, rel=1e-11) and abs(forth) > 1e-3
         sweep.advance(grid.zeros(1 + dim), (1.0, 1.0))
-        sweep._sort()
+        sweep.sort()
 
 
 @every_basis

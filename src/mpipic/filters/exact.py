@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from mpipic.arrays import FloatArray
 from mpipic.filters.family import NodalFilter
 
 if TYPE_CHECKING:
     from mpipic.mapping.base import NodalMapping
+    from mpipic.mapping.solver import GramSolver
 
 
 class ExactFilter(NodalFilter):
@@ -48,7 +49,7 @@ class ExactFilter(NodalFilter):
         self.iterations = 0
 
     @cached_property
-    def solver(self) -> Any:
+    def solver(self) -> GramSolver:
         """The Gram solver, made when first used."""
         from mpipic.mapping.solver import GramSolver
 
@@ -60,7 +61,7 @@ class ExactFilter(NodalFilter):
         """G⁺ sums, all columns together; zero on nodes that no particle sees. Collective."""
         self.mapping.phase("filter")
         together = None if series is None else (sums.size // len(sums),)
-        answer: FloatArray = self.solver.solve(sums, series, together)
+        answer = self.solver.solve(sums, series, together)
         self.iterations = self.solver.iterations
         self.mapping.phase("nodes")
         if out is None:
@@ -75,8 +76,8 @@ class ExactFilter(NodalFilter):
     @property
     def nbytes(self) -> int:
         """Bytes of the solver's arrays, without PETSc's work vectors."""
-        return int(self.solver.nbytes)
+        return self.solver.nbytes
 
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> dict[str, object]:
         """Iterations of the last application, and the relative residual they go to."""
         return {"iterations": self.iterations, "tolerance": self.tolerance}

@@ -73,8 +73,8 @@ class Filter(ABC):
         """Begin every series anew. Local."""
         return
 
-    def facts(self) -> dict[str, Any]:
-        """What the filter found out about itself at its present positions, for reports."""
+    def facts(self) -> dict[str, object]:
+        """Return what the filter found out about itself at its present positions, for reports."""
         return {}
 
 
@@ -105,6 +105,6 @@ class NodalFilter(Filter):
 
 
 def create(kind: str, mapping: NodalMapping, settings: Any) -> Filter:
-    """The filter `kind` with what it needs of `settings`, a record like the scene's [filter] section."""
+    """Return the filter `kind` with what it needs of `settings`, a record like the scene's [filter] section."""
     cls = FILTERS[kind]
     return cls(mapping, **{name: getattr(settings, name) for name in cls.settings})

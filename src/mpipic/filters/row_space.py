@@ -131,7 +131,7 @@ def _all_triplets(matrix: PETSc.Mat, triplets: int, own: int) -> tuple[str, Floa
 
 
 def _holds(matrix: PETSc.Mat, values: FloatArray, vectors: FloatArray) -> bool:
-    """Whether singular values and vectors can be right: orthonormal, and the squares sum up."""
+    """Return whether singular values and vectors can be right: orthonormal, and the squares sum up."""
     kept = vectors[values > vectors.shape[0] * np.finfo(float).eps * values.max()]
     with np.errstate(over="ignore", invalid="ignore"):
         overlap = np.ascontiguousarray(kept @ kept.T)
@@ -180,7 +180,7 @@ def _transposed_matrix(mapping: NodalMapping, each: FloatArray) -> PETSc.Mat:
 
 
 def bytes_needed(nodes: int, particles: int, ranks: int) -> float:
-    """Bytes on all ranks: both bases twice over while they are computed, and small dense matrices on every rank."""
+    """Return the bytes on all ranks: both bases twice over while computed, and small dense matrices on every rank."""
     triplets = min(nodes, particles)
     return 8.0 * triplets * (2 * (nodes + particles) + 6 * ranks * triplets)
 
@@ -210,7 +210,7 @@ def available_bytes() -> float:
 
 
 def describe(facts: dict[str, Any]) -> str:
-    """The facts of a row space in words."""
+    """Return the facts of a row space in words."""
     below = facts["below_cut"]
     gap = "nothing below it" if below is None else f"next singular value {below:.3g}"
     above = "" if facts["above_cut"] is None else f", smallest kept {facts['above_cut']:.3g}"

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from mpipic.arrays import FloatArray
 from mpipic.filters.family import Filter
 
 if TYPE_CHECKING:
+    from mpipic.filters.row_space import RowSpace
     from mpipic.mapping.base import NodalMapping
 
 
@@ -35,7 +34,7 @@ class SvdFilter(Filter):
         self._version = -1
 
     @property
-    def rows(self) -> Any:
+    def rows(self) -> RowSpace:
         """Row space of S at the present positions, a `RowSpace`. Collective where they have changed."""
         from mpipic.filters.row_space import RowSpace
 
@@ -45,13 +44,13 @@ class SvdFilter(Filter):
 
     def apply(self, q: FloatArray) -> FloatArray:
         """V_r V_rᵀ q; see `Filter.apply`."""
-        return np.asarray(self.rows.project(q))
+        return self.rows.project(q)
 
     @property
     def nbytes(self) -> int:
         """Bytes of V_r on this rank."""
-        return int(self.rows.nbytes)
+        return self.rows.nbytes
 
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> dict[str, object]:
         """Rank, cut, and the singular values on either side of it."""
         return dict(self.rows.facts)

@@ -82,7 +82,7 @@ class NodalMapping(ABC):
         if self.weight is not None:
             rows = rows * self.weight[:, None]
         out = self.grid.zeros(rows.shape[1])
-        spline.add_sums(self.grid.degree, *self.located, rows, *self._geometry, out)
+        spline.add_sums(self.grid.degree, *self.located, rows, *self.geometry, out)
         return self.complete(out).reshape(-1, *np.shape(values)[1:])
 
     def p2g(self, values: FloatArray) -> FloatArray:
@@ -102,7 +102,7 @@ class NodalMapping(ABC):
         out = self.grid.zeros(rows.shape[1])
         for column in range(rows.shape[1]):
             along, total = np.ascontiguousarray(rows[:, column]), np.zeros(len(out))
-            spline.add_divergence_sums(self.grid.degree, *self.located, along, *self._differences, total)
+            spline.add_divergence_sums(self.grid.degree, *self.located, along, *self.differences, total)
             out[:, column] = total
         return self.complete(out).reshape(-1, *shape)
 
@@ -116,7 +116,7 @@ class NodalMapping(ABC):
         rows = columns_of(nodal)
         out = np.zeros((self.count, rows.shape[1]))
         rate = np.ones(rows.shape[1])
-        spline.add_interpolated(self.grid.degree, *self.located, rows, rate, *self._geometry, out)
+        spline.add_interpolated(self.grid.degree, *self.located, rows, rate, *self.geometry, out)
         return out.reshape(-1, *np.shape(nodal)[1:])
 
     def gradient(self, nodal: FloatArray) -> FloatArray:
@@ -128,7 +128,7 @@ class NodalMapping(ABC):
         out = np.zeros((rows.shape[1], self.count, self.grid.dim))
         for column in range(rows.shape[1]):
             values = np.ascontiguousarray(rows[:, column])
-            spline.add_gradient(self.grid.degree, *self.located, values, 1.0, *self._differences, out[column])
+            spline.add_gradient(self.grid.degree, *self.located, values, 1.0, *self.differences, out[column])
         return np.moveaxis(out, 0, 1).reshape(self.count, *shape, self.grid.dim)
 
     def divergence(self, nodal: FloatArray) -> FloatArray:
@@ -138,7 +138,7 @@ class NodalMapping(ABC):
         out = np.zeros((rows.shape[1], self.count))
         for column in range(rows.shape[1]):
             along = np.ascontiguousarray(rows[:, column])
-            spline.add_divergence(self.grid.degree, *self.located, along, 1.0, *self._differences, out[column])
+            spline.add_divergence(self.grid.degree, *self.located, along, 1.0, *self.differences, out[column])
         return np.moveaxis(out, 0, 1).reshape(self.count, *shape)
 
     # ------------------------------------------------------------ on nodes
@@ -171,10 +171,10 @@ class NodalMapping(ABC):
         """Add G nodal to `out`, one column, by two passes over the particles; ghosts still hold their share. Local."""
         seen = np.zeros((self.count, 1))
         values = np.ascontiguousarray(nodal)
-        spline.add_interpolated(self.grid.degree, *self.located, values, np.ones(1), *self._geometry, seen)
+        spline.add_interpolated(self.grid.degree, *self.located, values, np.ones(1), *self.geometry, seen)
         if self.weight is not None:
             seen *= self.weight[:, None]
-        spline.add_sums(self.grid.degree, *self.located, seen, *self._geometry, out)
+        spline.add_sums(self.grid.degree, *self.located, seen, *self.geometry, out)
 
     def add_gram_entries(self, layout: tuple[int, int, int], entries: FloatArray) -> None:
         """Add half of G's rows in a padding of `layout` to entries (nodes, h) (see `kernels.stencil`).
@@ -190,9 +190,11 @@ class NodalMapping(ABC):
             spline.add_gram_entries(degree, *self.located, weight, shape, layout, entries)
 
     @property
-    def _geometry(self) -> tuple[tuple[int, ...], tuple[int, int, int]]:
+    def geometry(self) -> tuple[tuple[int, ...], tuple[int, int, int]]:
+        """Own cells per axis, padded with 1, and layout of nodal arrays, as compiled loops take them. Local."""
         return self.grid.padded_shape, self.grid.layout
 
     @property
-    def _differences(self) -> tuple[FloatArray, tuple[int, ...], tuple[int, int, int]]:
+    def differences(self) -> tuple[FloatArray, tuple[int, ...], tuple[int, int, int]]:
+        """The same for loops that differentiate: cells per unit of length (d,) first. Local."""
         return np.array(self.grid.inverse_h), self.grid.padded_shape, self.grid.layout

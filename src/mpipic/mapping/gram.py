@@ -124,7 +124,7 @@ class Gram:
             BY_DIMENSION[grid.dim].gram(moments, grid.padded_shape, grid.layout, nodal, out)
 
     def _pays(self, columns: int) -> bool:
-        """Whether to assemble, from the columns so far at these positions or in all at those before.
+        """Return whether to assemble, from the columns so far at these positions or in all at those before.
 
         The same on all ranks. Collective when first asked.
         """

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from math import comb
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 from weakref import proxy
 
 import numpy as np
@@ -127,7 +127,7 @@ class GramStencil:
         return True
 
     def _penalty_constants(self) -> FloatArray:
-        """What the penalty adds to every diagonal. Collective; one reduction, none without a penalty."""
+        """Return what the penalty adds to every diagonal. Collective; one reduction, none without a penalty."""
         constants = np.zeros(len(self.offsets))
         if self.penalty is not None:
             total = self.grid.reduce(np.array([self.grid.owned(self.mapping.weights).sum()]))[0]
@@ -138,7 +138,7 @@ class GramStencil:
         return constants
 
     def load(self, own: FloatArray) -> FloatArray:
-        """A padded copy (k, local_nodes) of own values (k, own nodes), ghosts filled. Collective."""
+        """Return a padded copy (k, local_nodes) of own values (k, own nodes), ghosts filled. Collective."""
         return self._values.load(own)
 
     def multiply(self, nodal: FloatArray, out: FloatArray) -> None:
@@ -156,24 +156,24 @@ class GramStencil:
         nodes.fill(out)
 
     def _product(self, own: FloatArray) -> FloatArray:
-        """The scaled G times columns (k, own nodes): (k, z, y, x), a view that is valid until the next. Collective."""
+        """Return the scaled G times columns (k, own nodes): (k, z, y, x), a view valid until the next. Collective."""
         values = self.load(own)
         product, block = self._products.rows(len(values))
         stencil.multiply(self.diagonals, self.offsets, 1.0 + SHIFT, values, self.shape, self.halo.layout, product)
         return block
 
-    def mult(self, mat: Any, x: PETSc.Vec, y: PETSc.Vec) -> None:
+    def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """y = G x, as PETSc calls it. Collective; one halo exchange."""
         product = self._product(x.getArray(readonly=True).reshape(-1, self.root.size))
         with y as out:
             out.reshape(product.shape)[...] = product
 
-    def getDiagonal(self, mat: Any, y: PETSc.Vec) -> None:
-        """The diagonal: ones. Local."""
+    def getDiagonal(self, mat: PETSc.Mat, y: PETSc.Vec) -> None:
+        """Return the diagonal: ones. Local."""
         y.set(1.0)
 
     def axis_means(self, tilt: FloatArray | None) -> FloatArray:
-        """Mean over nodes of the entries to the next nodes along each axis, relative to the diagonal's, (d, reach).
+        """Return the mean entries to the next nodes along each axis, relative to the diagonal's, (d, reach).
 
         tilt : padded factors, one a node, that rows and columns are multiplied with before. Collective.
         """

@@ -212,7 +212,7 @@ def _itself(fields: FloatArray) -> FloatArray:
 
 
 def penalty_of(settings: Any) -> Penalty | None:
-    """The penalty that a record like the scene's [mapping] section asks for."""
+    """Return the penalty that a record like the scene's [mapping] section asks for."""
     from mpipic.mapping.gram_stencil import Penalty
 
     return Penalty(settings.penalty, settings.penalty_order) if settings.mass == "penalised" else None

@@ -9,7 +9,7 @@ from it has a smaller diagonal than its row sum says), halfway to the row sums o
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from petsc4py import PETSc
@@ -28,7 +28,7 @@ TILT = {1: 0.0, 2: 0.25, 3: 0.6}
 
 
 def inverse_stencil(couplings: FloatArray, reach: int) -> FloatArray:
-    """Weights (reach + 1,) of the symmetric stencil near the inverse of the circulant (..., c₂, c₁, 1, c₁, c₂, ...).
+    """Return weights (reach + 1,) of the symmetric stencil near the inverse of the circulant (..., c₁, 1, c₁, ...).
 
     With the symbol λ(θ) = 1 + 2 Σ_j c_j cos jθ it is the stencil g that makes 1 - λ g least in the mean square over θ;
     a symbol that comes near 0 is held above 0.02 of its largest value, and g above 0, so that the stencil is positive
@@ -86,7 +86,7 @@ class TensorPreconditioner:
         for axis, couplings in enumerate(matrix.axis_means(padded)):
             self.weights[axis] = inverse_stencil(couplings, self._reach)
 
-    def apply(self, pc: Any, x: PETSc.Vec, y: PETSc.Vec) -> None:
+    def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """y = the stencils times x, as PETSc calls it."""
         matrix = self.matrix
         own = x.getArray(readonly=True).reshape(-1, matrix.root.size)

@@ -45,7 +45,7 @@ class Series:
         self.count += 1
 
     def extrapolate(self, factors: FloatArray, factor: float, out: FloatArray) -> None:
-        """The polynomial through what there is, one step on, times one factor a node and one for all."""
+        """Return the polynomial through what there is, one step on, times one factor a node and one for all."""
         order = min(self.count, EARLIER)
         weights = np.zeros(EARLIER)
         for j in range(order):

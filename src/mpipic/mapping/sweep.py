@@ -63,7 +63,7 @@ class ParticleSweep(NodalMapping):
         self.shift = shift = tuple(grid.rounded(in_cells).tolist())
         self.moving = any(shift)
         period = tuple(map(float, grid.cells))
-        self._kernel_geometry = (grid.inverse_h, grid.tolerance, period, shift, grid.owned_start)
+        self.kernel_geometry = (grid.inverse_h, grid.tolerance, period, shift, grid.owned_start)
         reach = migration.Reach.of_one(shift)
         self.routes = migration.Routes(grid, reach) if migration.can_leave(grid, reach) else None
         self.gram = Gram(self)
@@ -71,26 +71,26 @@ class ParticleSweep(NodalMapping):
         self.weights = self.held_sums[:, -1]
         self.inverse_weights = np.empty(grid.local_nodes)
         self.version = 0
-        self._leaving = np.empty(max(1024, particles.count // 16), dtype=np.int64)
+        self.leaving = np.empty(max(1024, particles.count // 16), dtype=np.int64)
         self.peak = 0.0
         self.migrated = 0
         self.sorts = 0
-        self._allocate()
+        self.allocate()
         self.remap()
 
     def remap(self) -> None:
         """Map the particles where and as they are, after they were changed from outside. Collective."""
         self.version += 1
         self.peak = 0.0
-        self._sort()
-        self._clear(weigh=True)
-        self._deposit(0, self.particles.count, weigh=True)
-        self._finish_sums(weigh=True)
+        self.sort()
+        self.clear_sums(weigh=True)
+        self.deposit(0, self.particles.count, weigh=True)
+        self.finish_sums(weigh=True)
 
     # ------------------------------------------------------------ on nodes
 
-    def _allocate(self) -> None:
-        """Make what `_clear`, `_pass` and `_deposit` work with."""
+    def allocate(self) -> None:
+        """Make what the other verbs work with. Local."""
 
     @property
     def state_sums(self) -> tuple[FloatArray, FloatArray]:
@@ -123,7 +123,7 @@ class ParticleSweep(NodalMapping):
     @property
     def nbytes(self) -> int:
         """Bytes of the nodal sums, of G where it is assembled, and of the list of leavers."""
-        return self.gram.nbytes + sum(a.nbytes for a in (self.held_sums, self.inverse_weights, self._leaving))
+        return self.gram.nbytes + sum(a.nbytes for a in (self.held_sums, self.inverse_weights, self.leaving))
 
     # ------------------------------------------------------------ on particles
 
@@ -144,45 +144,52 @@ class ParticleSweep(NodalMapping):
         """
         particles, weigh = self.particles, self.moving
         self.phase("particles")
-        self._clear(weigh)
-        breaks, left = self._pass(nodal, rates, direct, weigh)
+        self.clear_sums(weigh)
+        breaks, left = self.update_and_move(nodal, rates, direct, weigh)
         arrived = 0
         if self.routes is not None:
             self.phase("migrate")
             arrived = migration.migrate(particles, self.routes, self._leavers(left))
             self.migrated += arrived
             self.phase("particles")
-        self._deposit(particles.count - arrived if self.one_pass else 0, particles.count, weigh)
-        self._finish_sums(weigh)
+        self.deposit(particles.count - arrived if self.one_pass else 0, particles.count, weigh)
+        self.finish_sums(weigh)
         if weigh:
             self.version += 1
-            self._sort_when_due(breaks)
+            self.sort_when_due(breaks)
         self.phase("other")
 
     def _leavers(self, left: int) -> IntArray:
-        if left <= len(self._leaving):
-            return self._leaving[:left].copy()
-        self._leaving = np.empty(left + left // 4, dtype=np.int64)
+        if left <= len(self.leaving):
+            return self.leaving[:left].copy()
+        self.leaving = np.empty(left + left // 4, dtype=np.int64)
         return np.flatnonzero(self.grid.owner_of(self.particles.coordinate) != self.grid.rank)
 
     one_pass: ClassVar[bool]
-    """Whether `_pass` also sums the particles that stay."""
+    """Whether `update_and_move` also sums the particles that stay."""
 
-    def _clear(self, weigh: bool) -> None:
+    def clear_sums(self, weigh: bool) -> None:
+        """Set the sums to zero before a pass; the row sums too if `weigh`. Local."""
         if weigh:
             self.held_sums.fill(0.0)
         else:
             self.held_sums[:, :-1] = 0.0
 
     @abstractmethod
-    def _pass(self, nodal: FloatArray, rates: tuple[float, float], direct: bool, weigh: bool) -> tuple[int, int]:
-        """Add the increments, move, list the leavers: how many particles follow one of another cell, how many left."""
+    def update_and_move(
+        self, nodal: FloatArray, rates: tuple[float, float], direct: bool, weigh: bool
+    ) -> tuple[int, int]:
+        """Add the increments, move, list the leavers. Local.
+
+        Returns how many particles lie in another cell than their predecessor, and how many left.
+        """
 
     @abstractmethod
-    def _deposit(self, start: int, stop: int, weigh: bool) -> None:
-        """Add these particles to the sums, and look at their |scalar|."""
+    def deposit(self, start: int, stop: int, weigh: bool) -> None:
+        """Add the particles from `start` to `stop` to the sums, and look at their |scalar|. Local."""
 
-    def _finish_sums(self, weigh: bool) -> None:
+    def finish_sums(self, weigh: bool) -> None:
+        """Make the sums right on own and ghost nodes; the row sums too if `weigh`. Collective on neighbours."""
         if weigh:
             self.complete(self.held_sums)
             generic.invert(self.weights, self.inverse_weights)
@@ -193,13 +200,14 @@ class ParticleSweep(NodalMapping):
 
     # ------------------------------------------------------------ order in memory
 
-    def _sort(self) -> None:
+    def sort(self) -> None:
+        """Put the particles in the order of their cells. Local; O(n)."""
         self.phase("sort")
         self.particles.sort_by_cell(self.grid)
         self.sorts += 1
         self._excess, self._fewest_breaks = 0, -1
 
-    def _sort_when_due(self, breaks: int) -> None:
+    def sort_when_due(self, breaks: int) -> None:
         """Sort once disorder has cost as much as sorting does.
 
         Disorder is counted in breaks, particles in another cell than their predecessor: each costs about a tenth of
@@ -209,7 +217,7 @@ class ParticleSweep(NodalMapping):
             self._fewest_breaks = breaks
         self._excess += max(0, breaks - self._fewest_breaks)
         if self._excess > 12 * self.particles.count:
-            self._sort()
+            self.sort()
 
 
 def create(
@@ -219,7 +227,7 @@ def create(
     phase: Callable[[str], None] = lambda name: None,
     transposed: bool = False,
 ) -> ParticleSweep:
-    """The sweep for the basis of the grid; `transposed`: one that has the transposed gradients too."""
+    """Return the sweep for the basis of the grid; `transposed`: one that has the transposed gradients too."""
     from mpipic.mapping.linear_sweep import LinearSweep
     from mpipic.mapping.spline_sweep import SplineSweep
 

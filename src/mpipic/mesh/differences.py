@@ -16,9 +16,10 @@ from mpipic.mesh.halo import Halo, PaddedColumns
 
 
 def difference_weights(order: int) -> FloatArray:
-    """Weights (order/2 + 1,) of the central first difference of even `order` for unit spacing; antisymmetric, [0] is 0.
+    """Return weights (order/2 + 1,) of the central first difference of even `order`; antisymmetric, [0] is 0.
 
-    Exact on polynomials up to that degree: w_j = (-1)^(j+1) (q!)² / (j (q - j)! (q + j)!), q = order / 2.
+    For unit spacing: w_j = (-1)^(j+1) (q!)² / (j (q - j)! (q + j)!), q = order / 2, exact on polynomials up to that
+    degree.
     """
     q = order // 2
     weights = [
@@ -28,7 +29,7 @@ def difference_weights(order: int) -> FloatArray:
 
 
 def low_pass_weights(order: int, strength: float) -> FloatArray:
-    """Weights (order + 1,) of 1 - σ sin^{2p}(θ/2) along an axis: p second differences, σ = strength in [0, 1]."""
+    """Return weights (order + 1,) of 1 - σ sin^{2p}(θ/2) along an axis: p = order, σ = strength in [0, 1]."""
     p = order
     weights = -strength * np.array([(-1.0) ** j * comb(2 * p, p + j) for j in range(p + 1)]) / 4.0**p
     weights[0] += 1.0
@@ -49,7 +50,7 @@ class _Stencil:
         return self._values.nbytes + self._result.nbytes
 
     def _load(self, nodal: FloatArray) -> FloatArray:
-        """The columns (local_nodes, k) padded, (k, padded nodes)."""
+        """Return the columns (local_nodes, k) padded, (k, padded nodes)."""
         return self._values.load(np.moveaxis(self.grid.nodes.own(nodal), -1, 0))
 
     def _store(self, out: FloatArray) -> None:

@@ -126,11 +126,11 @@ class Grid:
         return starts
 
     def zeros(self, columns: int) -> FloatArray:
-        """A nodal array of zeros, shape (local_nodes, columns). Local."""
+        """Return a nodal array of zeros, shape (local_nodes, columns). Local."""
         return np.zeros((self.local_nodes, columns))
 
     def owned(self, nodal: np.ndarray) -> np.ndarray:
-        """View of a nodal array's own nodes, shape owned_shape or owned_shape + (k,), axes in x, y, z order. Local."""
+        """Return a view of a nodal array's own nodes, owned_shape + (*shape,), axes in x, y, z order. Local."""
         block = self.nodes.own(nodal)
         axes = tuple(reversed(range(self.dim))) + tuple(range(self.dim, block.ndim))
         return block.transpose(axes)
@@ -153,7 +153,7 @@ class Grid:
         return numbers
 
     def size_of(self, numbers: FloatArray) -> float:
-        """A power of two near the largest of these on all ranks; 1 for zeros, infinity where one is not finite.
+        """Return a power of two near the largest of these on all ranks; 1 for zeros, infinity where one is not finite.
 
         What is divided by it rounds nothing, and neither over- nor underflows in products. Collective; one reduction.
         """
@@ -172,11 +172,11 @@ class Grid:
             )
 
     def cell_of(self, coordinate: FloatArray) -> npt.NDArray[np.int64]:
-        """Global cell (n, d) of coordinates (n, d), by the arithmetic of the compiled loops. Local."""
+        """Return the global cell (n, d) of coordinates (n, d), by the arithmetic of the compiled loops. Local."""
         return np.asarray((coordinate + np.array(self.tolerance)).astype(np.int64))
 
     def owner_of(self, coordinate: FloatArray) -> npt.NDArray[np.int64]:
-        """Rank (n,) that owns the cell of each coordinate (n, d). Local."""
+        """Return the rank (n,) that owns the cell of each coordinate (n, d). Local."""
         cell = self.cell_of(coordinate)
         owner = np.zeros(len(cell), dtype=np.int64)
         stride = 1
@@ -186,11 +186,11 @@ class Grid:
         return owner
 
     def coordinate_of(self, position: FloatArray) -> FloatArray:
-        """Coordinates (n, d) in cells, in the box, of positions (n, d) in length, any whole number of periods off."""
+        """Return coordinates (n, d) in cells, in the box, of positions (n, d) in length, any number of periods off."""
         return self.wrapped(np.asarray(position) / np.array(self.h))
 
     def wrapped(self, coordinate: FloatArray) -> FloatArray:
-        """Coordinates (n, d) in the box and on its quantum: -tolerance <= x < cells - tolerance. Local.
+        """Return coordinates (n, d) in the box and on its quantum: -tolerance <= x < cells - tolerance. Local.
 
         A particle that counts as on the upper face is on node 0, and has a coordinate just below 0.
         """
@@ -200,7 +200,7 @@ class Grid:
         return np.where(inside >= period - np.array(self.tolerance), inside - period, inside)
 
     def rounded(self, coordinate: FloatArray) -> FloatArray:
-        """Coordinates or displacements in cells, rounded to whole multiples of `quantum`. Local."""
+        """Return coordinates or displacements in cells, rounded to whole multiples of `quantum`. Local."""
         quantum = np.array(self.quantum)
         with np.errstate(invalid="ignore"):  # infinities become NaN, and are refused where cells are looked up
             return np.asarray(np.rint(np.asarray(coordinate) / quantum) * quantum)

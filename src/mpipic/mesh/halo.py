@@ -8,6 +8,7 @@ however many ranks or periods away.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from weakref import finalize
 
 import numpy as np
 import numpy.typing as npt
@@ -79,6 +80,7 @@ class Halo:
         )
         self.exchanges = 0
         self._units: dict[int, MPI.Datatype] = {}
+        finalize(self, _free, self._units)
         self._find(cells, starts, sizes, (width, width) if reach is None else reach)
         self._forest = self._join(1)
         self._forests = {1: self._forest}
@@ -110,7 +112,7 @@ class Halo:
         self._ghosts = (leaves, owner, root, stride)
 
     def _join(self, rows: int) -> PETSc.SF:
-        """The star forest of arrays (rows, local_nodes): ghosts are leaves, each of the node that it is a copy of."""
+        """Return the star forest of arrays (rows, local_nodes): ghosts are leaves of the nodes they are copies of."""
         leaves, owner, root, nodes = self._ghosts
         row = np.arange(rows)[:, None]
         local = (row * self.local_nodes + leaves).ravel()
@@ -123,20 +125,23 @@ class Halo:
         return forest
 
     def block(self, array: np.ndarray, reach: tuple[int, int] = (0, 0)) -> np.ndarray:
-        """View of the own nodes, and of `reach` below and above, of an array shaped like ghost_shape reversed."""
+        """Return a view of the own nodes, and `reach` below and above, of an array shaped like ghost_shape reversed."""
         slices = tuple(slice(self.width - reach[0], self.width + n + reach[1]) for n in self.owned_shape)
         return array[slices[::-1]]
 
     def own(self, padded: np.ndarray) -> np.ndarray:
-        """View of the own nodes of a padded array (local_nodes, ...): (z, y, x, ...), axes there are. Local."""
+        """Return a view of the own nodes of a padded array (local_nodes, ...): (z, y, x, ...). Local."""
         return padded.reshape(self._padded + padded.shape[1:])[self._own]
 
     def own_rows(self, rows: np.ndarray) -> np.ndarray:
-        """View of the own nodes of rows (k, local_nodes): (k, z, y, x), axes there are. Local."""
+        """Return a view of the own nodes of rows (k, local_nodes): (k, z, y, x), axes there are. Local."""
         return rows.reshape(len(rows), *self._padded)[(slice(None), *self._own)]
 
     def add(self, *padded: FloatArray) -> None:
         """Add what ghosts hold into their owners, in place; ghosts keep their own share.
+
+        Particles in a rank's upper cells touch nodes that the next rank owns: each rank sums what it sees, here the
+        owner gets the sum of all shares. Its ghosts hold parts only until a `fill` gives them the whole.
 
         Collective; one message an array to each neighbour, all under way together.
         """
@@ -163,13 +168,21 @@ class Halo:
             end(self._unit(array), array, array, how)
 
     def _unit(self, padded: FloatArray) -> MPI.Datatype:
-        """One node's columns as one MPI item; PETSc cannot add into a derived type of a single number."""
+        """Return one node's columns as one MPI item; PETSc cannot add into a derived type of a single number."""
         columns = padded.size // self.local_nodes
         if columns == 1:
             return MPI.DOUBLE
         if columns not in self._units:
             self._units[columns] = MPI.DOUBLE.Create_contiguous(columns).Commit()
         return self._units[columns]
+
+
+def _free(types: dict[int, MPI.Datatype]) -> None:
+    """Give datatypes back to MPI, unless it has ended before. Local."""
+    if not MPI.Is_finalized():
+        for item in types.values():
+            item.Free()
+    types.clear()
 
 
 class PaddedColumns:
@@ -185,14 +198,14 @@ class PaddedColumns:
         return sum(rows.nbytes for rows, _ in self._arrays.values())
 
     def rows(self, count: int) -> tuple[FloatArray, FloatArray]:
-        """The array (count, local_nodes), and the view (count, z, y, x) of its own nodes. Local."""
+        """Return the array (count, local_nodes), and the view (count, z, y, x) of its own nodes. Local."""
         if count not in self._arrays:
             rows = np.zeros((count, self.halo.local_nodes))
             self._arrays[count] = rows, self.halo.own_rows(rows)
         return self._arrays[count]
 
     def load(self, own: FloatArray) -> FloatArray:
-        """A padded copy (k, local_nodes) of own values (k, z, y, x) or (k, own nodes), valid until the next.
+        """Return a padded copy (k, local_nodes) of own values (k, z, y, x) or (k, own nodes), valid until the next.
 
         Collective; one halo exchange.
         """

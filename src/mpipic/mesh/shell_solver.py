@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 from weakref import ref
 
 import numpy as np
@@ -23,7 +22,7 @@ class _Product:
     def __init__(self, owner: ShellSolver) -> None:
         self._owner = ref(owner)
 
-    def mult(self, mat: Any, x: PETSc.Vec, y: PETSc.Vec) -> None:
+    def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """y = A x, as PETSc calls it. Collective."""
         owner = self._owner()
         assert owner is not None and owner.apply is not None
@@ -107,7 +106,7 @@ class ShellSolver:
         return np.asarray(self._x.getArray(readonly=True) * size)
 
     def _solver(self, grid: Grid, own: int) -> PETSc.KSP:
-        """The KSP; made anew where the number of unknowns on this rank has changed (particles that migrated)."""
+        """Return the KSP; made anew where the number of unknowns on this rank has changed (particles that migrated)."""
         changed = self.ksp is None or self._b.getLocalSize() != own
         if not grid.reduce(np.array([float(changed)]))[0]:
             return self.ksp

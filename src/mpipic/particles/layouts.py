@@ -14,14 +14,14 @@ Layout = Callable[[Grid, Sequence[int], float, int, IntArray], FloatArray]
 
 
 def _lattice(grid: Grid, per_cell: Sequence[int], jitter: float, seed: int, ids: IntArray) -> FloatArray:
-    """Cell-centred lattice: (j + 1/2) / per_cell cells along each axis, ids counting x fastest."""
+    """Return a cell-centred lattice: (j + 1/2) / per_cell cells along each axis, ids counting x fastest."""
     points = [n * k for n, k in zip(grid.cells, per_cell, strict=True)]
     index = np.unravel_index(ids, points[::-1])[::-1]
     return np.stack([(j + 0.5) / k for j, k in zip(index, per_cell, strict=True)], axis=1)
 
 
 def _jittered(grid: Grid, per_cell: Sequence[int], jitter: float, seed: int, ids: IntArray) -> FloatArray:
-    """The lattice, every particle moved by up to `jitter` particle spacings along every axis."""
+    """Return the lattice, every particle moved by up to `jitter` particle spacings along every axis."""
     offset = (2.0 * uniform(seed, ids, grid.dim) - 1.0) * jitter / np.array(per_cell)
     return _lattice(grid, per_cell, jitter, seed, ids) + offset
 

@@ -140,7 +140,7 @@ def _meetings(grid: Grid, reach: Reach) -> list[npt.NDArray[np.bool_]]:
 
 
 def _ranks_met(grid: Grid, reach: Reach, sign: int) -> list[int]:
-    """Ranks whose cells this rank's cells meet when moved forward (+1), or that meet them when moved so (-1)."""
+    """Return ranks whose cells this rank's cells meet when moved forward (+1), or that meet them when moved so (-1)."""
     place = np.unravel_index(grid.rank, grid.blocks[::-1])[::-1]
     meetings = zip(place, _meetings(grid, reach), strict=True)
     per_axis = [np.flatnonzero(meets[own] if sign > 0 else meets[:, own]) for own, meets in meetings]
@@ -149,7 +149,7 @@ def _ranks_met(grid: Grid, reach: Reach, sign: int) -> list[int]:
 
 
 def _blocks_met(starts: IntArray, cells: int, low: float, high: float) -> npt.NDArray[np.bool_]:
-    """Matrix [i, j]: block i of an axis, moved by low to high cells around the period, overlaps block j.
+    """Return the matrix [i, j]: block i of an axis, moved by low to high cells around the period, overlaps block j.
 
     Exact, as the motion is: a particle of the cells from s to e lands in the cells floor(s + low) to
     ceil(e + high) - 1.

@@ -48,11 +48,11 @@ class Placement:
         self.position = self._delivery.rows
 
     def to_owners(self, values: FloatArray) -> FloatArray:
-        """Values (n,) or (n, k) of this rank's block, as (m,) or (m, k) in the order of `position`. Collective."""
+        """Return values (n, *shape) of this rank's block as (m, *shape) in the order of `position`. Collective."""
         rows = self._routes.exchange(columns_of(values), self._owner).rows
         return rows.reshape((-1, *np.shape(values)[1:]))
 
     def to_callers(self, values: FloatArray) -> FloatArray:
-        """The way back: values (m,) or (m, k) in the order of `position`, as (n,) or (n, k). Collective."""
+        """Return values (m, *shape) in the order of `position` to where they came from, (n, *shape). Collective."""
         rows = self._routes.give_back(columns_of(values), self._delivery)
         return rows.reshape((-1, *np.shape(values)[1:]))

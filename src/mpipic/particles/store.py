@@ -161,7 +161,7 @@ class Particles:
 
 
 def locate(grid: Grid, coordinate: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Local cell (n,) and local coordinates (n, d) of coordinates (n, d), which must lie in this rank's cells.
+    """Return local cell (n,) and local coordinates (n, d) of coordinates (n, d), which must lie in this rank's cells.
 
     Raises ValueError naming the first that does not. Local; O(n).
     """

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from mpi4py import MPI
@@ -46,7 +45,7 @@ class ErrorReport:
         }
         return {**columns, **self.shares}
 
-    def record(self) -> dict[str, Any]:
+    def record(self) -> dict[str, object]:
         """Return the report as summary.json holds it: step, time, norms by field, shares."""
         return {"step": self.step, "time": self.time, **self.errors, **self.shares}
 

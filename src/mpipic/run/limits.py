@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from mpi4py import MPI
@@ -10,7 +10,9 @@ from mpi4py import MPI
 from mpipic.errors import NotConverged
 from mpipic.physics.acoustics.step import AcousticStep
 from mpipic.run.build import build_sweep, place, step_on
-from mpipic.scene.records import Scene
+
+if TYPE_CHECKING:
+    from mpipic.scene.records import Scene
 
 REACHES = {"symplectic": 2.0, "rk4": 2.0 * np.sqrt(2.0)}
 """Integrator to the largest frequency times dt on the imaginary axis that it is stable for; midpoint has none."""
@@ -23,7 +25,7 @@ DIGITS = 1e-5
 
 
 def cfl_limit(scene: Scene, comm: MPI.Comm) -> float | None:
-    """The CFL number that the scheme is stable up to while positions are frozen; None if any, or where it is unknown.
+    """Return the CFL number that the scheme is stable up to at frozen positions; None if any, or where unknown.
 
     From the largest frequency of sound that the scheme has on a small periodic piece of the scene, with as many
     particles a cell in the same layout; with the skew gradient, whose frequencies depend much on where the particles
@@ -48,8 +50,8 @@ def _on_one_rank(scene: Scene) -> float | None:
 
 
 def _piece(scene: Scene) -> Scene:
-    """A smaller box of the same cells and particles, without output."""
-    data: dict[str, Any] = scene.to_dict()
+    """Return a smaller box of the same cells and particles, without output."""
+    data = scene.to_dict()
     most = SAMPLE[scene.dim]
     cells = [min(n, most) for n in scene.grid.cells]
     data["grid"] = {"cells": cells, "length": [h * n for h, n in zip(scene.h, cells, strict=True)]}
@@ -60,7 +62,7 @@ def _piece(scene: Scene) -> Scene:
     if data["filter"]["kind"] == "exact" or scene.mapping.mass != "lumped":
         data["filter"]["tolerance"] = max(scene.filter.tolerance, DIGITS)
     data["time"]["steps"] = 0
-    return Scene.from_dict(data, name=scene.name)
+    return scene.from_dict(data, name=scene.name)
 
 
 def _largest_frequency(scene: Scene) -> float:

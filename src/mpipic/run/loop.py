@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from time import perf_counter
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from mpi4py import MPI
@@ -17,7 +17,9 @@ from mpipic.phases import Phases
 from mpipic.physics.base import Physics
 from mpipic.run.build import begin, check_filter, physics_of, place
 from mpipic.run.diagnostics import ErrorReport, measure
-from mpipic.scene.records import Scene
+
+if TYPE_CHECKING:
+    from mpipic.scene.records import Scene
 
 MONITORED = 400
 """At how many steps of a run, evenly spread, the largest density is recorded."""
@@ -27,7 +29,7 @@ LONGEST_UNCHECKED = 0.1
 
 @dataclass(frozen=True)
 class BlowUp:
-    """Where a run went wrong: first step at which |density| passed the limit, and the worst particle then."""
+    """Where a run went wrong: first step at which the watched field passed the limit, and the worst particle then."""
 
     step: int
     rank: int
@@ -48,13 +50,13 @@ class Observer(Protocol):
     """What watches a run; every method is called on all ranks together, except `progress`."""
 
     def record(self, step: int, time: float, peak: float, report: ErrorReport | None) -> None:
-        """Largest |density|, and errors where they were asked for."""
+        """Take the largest size of the watched field, and errors where they were asked for."""
 
     def snapshot(self, step: int, time: float) -> None:
-        """The state is to be written."""
+        """Write the state."""
 
     def progress(self, step: int, time: float) -> None:
-        """Called after every step; local."""
+        """Show how far the run is; after every step, local."""
 
 
 class Simulation:
@@ -165,7 +167,7 @@ class Simulation:
         return replace(report, shares=physics.null_space_shares() if shares else dict.fromkeys(physics.shares))
 
     def _initial_size(self) -> float:
-        """The size that growth is measured by, over all ranks."""
+        """Return the size that growth is measured by, over all ranks."""
         sizes = np.array(self.physics.sizes())
         self.comm.Allreduce(MPI.IN_PLACE, sizes, op=MPI.MAX)
         return float(next((size for size in sizes if size), 0.0))
@@ -202,7 +204,7 @@ class Simulation:
             observer.progress(self.step, self.time)
 
     def _agree(self, interrupted: bool, seconds: float) -> tuple[float, Outcome | None, int]:
-        """What all ranks know together: largest |density|, why to stop if so, and steps until the next look."""
+        """Return what all ranks know together: the peak, why to stop if so, and steps until the next look."""
         stride = max(1, min(1000, int(LONGEST_UNCHECKED / max(seconds, 1e-9))))
         first_bad = self._bad[0] if self._bad else math.inf
         peak = self.physics.peak if math.isfinite(self.physics.peak) else math.inf
@@ -226,7 +228,7 @@ class Simulation:
         return tuple(map(int, cell)), float(size[worst])
 
     def _find_blow_up(self, step: int) -> BlowUp:
-        """The worst of all ranks that saw the limit passed at `step`."""
+        """Return the worst of all ranks that saw the limit passed at `step`."""
         mine = (self._bad[1], self._bad[2]) if self._bad and self._bad[0] == step else ((), -1.0)
         seen = self.comm.allgather(mine)
         rank = max(range(len(seen)), key=lambda r: math.inf if math.isnan(seen[r][1]) else seen[r][1])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from mpi4py import MPI
@@ -11,7 +12,9 @@ from mpipic.mesh.grid import Grid
 from mpipic.particles.store import Particles
 from mpipic.phases import Phases
 from mpipic.run.build import physics_of
-from mpipic.scene.records import Scene
+
+if TYPE_CHECKING:
+    from mpipic.scene.records import Scene
 
 
 def compile_loops(scene: Scene) -> None:

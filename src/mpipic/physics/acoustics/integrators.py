@@ -128,7 +128,7 @@ class RungeKutta4:
         return self._combined(rates, state, dt, found)
 
     def _combined(self, rates: Rates, state: State, dt: float, found: list[tuple[Gain, Gain]]) -> Step:
-        """The weighted sum of all stages; the rates are linear, so it is a gain itself."""
+        """Return the weighted sum of all stages; the rates are linear, so it is a gain itself."""
         gains = [_sum_of(self.WEIGHTS, stages) for stages in zip(*found)]
         of_density, of_velocity = (
             Change(dt / 6.0 * factor, gain.coefficients) for factor, gain in zip(rates.factors, gains, strict=True)

@@ -147,5 +147,5 @@ class Acoustics(Physics):
         return self.stepper.nbytes
 
     def facts(self) -> Mapping[str, int]:
-        """Return how often particles were sorted. Local."""
+        """Return how often particles were sorted and ghost nodes exchanged. Local."""
         return self.stepper.facts()

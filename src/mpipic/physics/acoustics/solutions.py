@@ -344,7 +344,7 @@ def _total(terms: list[FloatArray]) -> FloatArray:
 
 
 def _products(tables: list[FloatArray], n: int) -> FloatArray:
-    """Row by row, all products of one entry per table: (n, K_1), …, (n, K_j) to (n, K_1⋯K_j), last index fastest."""
+    """Return all products of one entry per table, row by row: (n, K_1), … to (n, K_1⋯K_j), last index fastest."""
     result = tables[0] if tables else np.ones((n, 1))
     for table in tables[1:]:
         result = (result[:, :, None] * table[:, None, :]).reshape(n, -1)
@@ -366,7 +366,7 @@ def _chunks(n: int, size: int) -> Iterator[slice]:
 
 
 def _prepare(x: ArrayLike, d: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The positions as an array, and zeroed density (n,) and velocity (n, d)."""
+    """Return the positions as an array, and zeroed density (n,) and velocity (n, d)."""
     x = np.asarray(x, dtype=np.float64)
     if x.ndim != 2 or x.shape[1] != d:
         raise ValueError(f"x has shape {x.shape}, expected (n, {d})")

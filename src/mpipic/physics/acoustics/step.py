@@ -175,5 +175,9 @@ class AcousticStep(Rates):
         return sum(part.nbytes for part in parts)
 
     def facts(self) -> dict[str, int]:
-        """Return how often particles were sorted. Local."""
-        return {"sorts": self.sweep.sorts}
+        """Return how often this rank sorted its particles and exchanged ghost nodes of nodal arrays, and with whom.
+
+        Local.
+        """
+        nodes = self.grid.nodes
+        return {"sorts": self.sweep.sorts, "halo_exchanges": nodes.exchanges, "halo_neighbours": nodes.neighbours}
