@@ -301,6 +301,8 @@ def bench(
     steps: Annotated[int, typer.Option(help="Steps per sample.")] = 5,
     repeats: Annotated[int, typer.Option(help="Samples; the median counts.")] = 5,
     tolerance: Annotated[float, typer.Option(help="Relative residual of the exact filter.")] = 1e-8,
+    basis: Annotated[str, typer.Option(help="linear, quadratic or cubic.")] = "linear",
+    preset: Annotated[str | None, typer.Option(help="A scheme by name, in place of basis and filters.")] = None,
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Write the numbers as JSON too.")] = None,
 ) -> None:
     """Time steps against the memory bandwidth of this machine, measured in the same run."""
@@ -313,11 +315,13 @@ def bench(
             tuple(dim or (1, 2, 3)),
             int(particles),
             per_cell,
-            tuple(kind or ("local",)),
+            (preset,) if preset else tuple(kind or ("local",)),
             layout,
             steps,
             repeats,
             tolerance,
+            basis,
+            preset,
         )
         benchmark.run(plan, comm, Console(comm), output)
 

@@ -23,6 +23,7 @@ from mpipic.phases import Phases
 from mpipic.run.facts import STEP_PHASES, versions
 from mpipic.run.loop import Simulation
 from mpipic.run.warmup import compile_loops
+from mpipic.scene.presets import with_preset
 from mpipic.scene.records import Scene
 
 if TYPE_CHECKING:
@@ -34,7 +35,10 @@ FLOW, CFL = 0.05, 0.1
 
 @dataclass(frozen=True)
 class Plan:
-    """Every dimension with every filter is timed, with about `particles` particles in all, `per_cell` to a cell."""
+    """Every dimension with every filter is timed, with about `particles` particles in all, `per_cell` to a cell.
+
+    A `preset` takes the place of basis and filters.
+    """
 
     dims: tuple[int, ...]
     particles: int
@@ -44,6 +48,8 @@ class Plan:
     steps: int
     repeats: int
     tolerance: float
+    basis: str = "linear"
+    preset: str | None = None
 
 
 @dataclass(frozen=True)
@@ -74,17 +80,16 @@ def scene_of(dim: int, kind: str, plan: Plan) -> Scene:
     particles: dict[str, object] = {"layout": plan.layout, "per_cell": per_cell}
     if plan.layout == "jittered":
         particles["jitter"] = 0.4
-    return Scene.from_dict(
-        {
-            "grid": {"cells": [side] * dim},
-            "particles": particles,
-            "gas": {"flow": [FLOW] * dim},
-            "initial": {"profile": "plane-wave"},
-            "filter": {"kind": kind, **({"tolerance": plan.tolerance} if kind == "exact" else {})},
-            "time": {"cfl": CFL, "steps": WARM_STEPS + plan.steps * plan.repeats},
-        },
-        name="bench",
-    )
+    data: dict[str, object] = {
+        "grid": {"cells": [side] * dim},
+        "particles": particles,
+        "gas": {"flow": [FLOW] * dim},
+        "initial": {"profile": "plane-wave"},
+        "mapping": {"basis": plan.basis},
+        "filter": {"kind": kind, **({"tolerance": plan.tolerance} if kind == "exact" else {})},
+        "time": {"cfl": CFL, "steps": WARM_STEPS + plan.steps * plan.repeats},
+    }
+    return Scene.from_dict(with_preset(data, plan.preset) if plan.preset else data, name="bench")
 
 
 def _per_axis(dim: int, per_cell: int) -> list[int]:
@@ -123,7 +128,7 @@ def time_steps(dim: int, kind: str, plan: Plan, comm: MPI.Comm, triad: Triad) ->
     spent = statistics.median(seconds)
     return Timing(
         dim=dim,
-        filter=kind,
+        filter=plan.preset or kind,
         layout=plan.layout,
         ranks=comm.size,
         particles=simulation.total,
