@@ -94,35 +94,6 @@ def _along_z(m, q, z0, z1, z2, z3):
 
 
 @hot
-def row_sums_1d(moments, shape, layout, out, column):
-    """out[:, column] += Φᵀ1."""
-    m, k = moments.reshape(-1), U(column)
-    right = 0.0
-    for i in range(shape[0]):
-        q, n = U(3 * i), U(layout[0] + i)
-        out[n, k] += right + (m[q] + m[q + U(1)])
-        right = m[q + U(1)] + m[q + U(2)]
-    out[U(layout[0] + shape[0]), k] += right
-
-
-@hot
-def row_sums_2d(moments, shape, layout, out, column):
-    """out[:, column] += Φᵀ1."""
-    m, k, row = moments.reshape(-1), U(column), U(layout[1])
-    for j in range(shape[1]):
-        n = U(layout[0] + j * layout[1])
-        r0, r1 = 0.0, 0.0
-        for i in range(shape[0]):
-            a0, a1, a2, a3 = _plane(m, U(9 * (j * shape[0] + i)), 1.0, 1.0, 1.0, 1.0)
-            out[n, k] += r0 + a0
-            out[n + row, k] += r1 + a2
-            r0, r1 = a1, a3
-            n += U(1)
-        out[n, k] += r0
-        out[n + row, k] += r1
-
-
-@hot
 def row_sums_3d(moments, shape, layout, out, column):
     """out[:, column] += Φᵀ1."""
     m, z, row, plane = moments.reshape(-1), U(column), U(layout[1]), U(layout[2])

@@ -77,6 +77,6 @@ class LinearSweep(ParticleSweep):
 
     def finish_sums(self, weigh: bool) -> None:
         """Make the sums right on own and ghost nodes; the row sums too if `weigh`. Collective on neighbours."""
-        if weigh and self.grid.dim == 3:
+        if weigh and self._kernels.row_sums is not None:
             self._kernels.row_sums(self._moments, *self.geometry, self.held_sums, self.held_sums.shape[1] - 1)
         super().finish_sums(weigh)
