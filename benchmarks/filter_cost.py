@@ -10,7 +10,6 @@ is the slope of log seconds against log particles.
 from __future__ import annotations
 
 import argparse
-import json
 import statistics
 from pathlib import Path
 from time import perf_counter
@@ -22,6 +21,7 @@ COMM = start()
 import numpy as np  # noqa: E402  after the settings that start() makes
 
 from mpipic.analysis.bench import Plan, scene_of  # noqa: E402
+from mpipic.files import write_json  # noqa: E402
 from mpipic.mapping.mapping import Mapping  # noqa: E402
 from mpipic.run.loop import Simulation  # noqa: E402
 from mpipic.run.warmup import compile_loops  # noqa: E402
@@ -102,7 +102,7 @@ def main() -> None:
         scene = scene_of(2, "exact", Plan((2,), 1000, 4, ("exact",), chosen.layout, 5, 5, chosen.tolerance))
         assert isinstance(scene, Scene)
         content = {"seconds": found, "exponents": exponents, "scene": scene.to_dict()}
-        chosen.output.write_text(json.dumps(content, indent=2) + "\n")
+        write_json(chosen.output, content)
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 
 class Unreadable(Exception):
@@ -81,6 +82,15 @@ def write_csv(path: Path, header: Sequence[str], rows: Iterable[Iterable[object]
 def to_json(value: object, indent: int | None = None) -> str:
     """Return a value as strict JSON, on one line unless indented; what is not finite becomes null."""
     return json.dumps(plain(value), indent=indent, allow_nan=False, ensure_ascii=False)
+
+
+def json_object(text: str | bytes) -> dict[str, Any]:
+    """Return the object that a JSON text holds; an empty one where it is no JSON, or holds something else."""
+    try:
+        value = json.loads(text)
+    except ValueError:
+        return {}
+    return value if isinstance(value, dict) else {}
 
 
 def plain(value: object) -> object:

@@ -223,6 +223,21 @@ def test_without_a_scene_and_a_folder_the_papers_scene_goes_to_runs(
     assert math.isclose(found["density"]["l2"], 2.2561e-2, rel_tol=1e-4), "the number that configs/paper.toml states"
 
 
+@pytest.mark.mpi
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_hwloc_s_warnings_of_a_machine_without_sysfs_are_not_taken_for_ours(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ranks: int
+) -> None:
+    """As in some containers; hwloc sees the machine through the folder that HWLOC_FSROOT names."""
+    (tmp_path / "proc").symlink_to("/proc")
+    monkeypatch.setenv("HWLOC_FSROOT", str(tmp_path))
+    words = ["run", "--no-plots", "--quiet", *sets("time.steps=2"), "--output", str(tmp_path / "out")]
+    said = mpipic(*words, ranks=ranks)
+    assert (said.returncode, said.stdout, said.stderr) == (0, "", "")
+    refused = mpipic(*words, ranks=ranks)
+    assert refused.returncode == 2 and len(refused.stderr.splitlines()) == 1
+
+
 def test_overwrite_replaces_the_results_of_the_earlier_run(tmp_path: Path) -> None:
     words = ["run", "--no-plots", "--quiet", "--output", str(tmp_path / "out")]
     assert mpipic_here(*words, *sets("time.steps=6", "output.every=2")).returncode == 0

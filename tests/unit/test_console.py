@@ -172,10 +172,10 @@ def test_an_update_with_nothing_to_print_costs_less_than_two_microseconds(stream
     with Console(ROOT, out=stream()).progress(10**9, "ρ") as progress:
         best = float("inf")
         for _ in range(20):
-            begin = time.perf_counter()
+            begin = time.process_time()
             for step in range(2000):
                 progress.update(step, 0.1, 0.5, 1e6)
-            best = min(best, (time.perf_counter() - begin) / 2000)
+            best = min(best, (time.process_time() - begin) / 2000)
     assert best < 2e-6
 
 

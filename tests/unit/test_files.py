@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mpipic.files import Unreadable, read_text, replacing, to_json, write_csv, write_json, write_text
+from mpipic.files import Unreadable, json_object, read_text, replacing, to_json, write_csv, write_json, write_text
 
 
 @dataclass
@@ -62,6 +62,12 @@ def test_json_is_strict_and_unpacks_records_numpy_and_paths(tmp_path: Path) -> N
     text = (tmp_path / "x.json").read_text("utf-8")
     assert json.loads(text, parse_constant=pytest.fail) == expected and text.endswith("}\n") and "ρ" in text
     assert json.loads(to_json(value)) == expected and "\n" not in to_json(value)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[1]", "7", b'{"a": 1', b"\xff"])
+def test_what_is_no_json_object_is_an_empty_one(text: str | bytes) -> None:
+    assert json_object(text) == {} and json_object('{"a": [1, null]}') == json_object(b'{"a": [1, null]}')
+    assert json_object('{"a": [1, null]}') == {"a": [1, None]}
 
 
 def test_csv_reads_back_to_the_same_bits_and_none_is_empty(tmp_path: Path) -> None:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import fcntl
-import json
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TypedDict, cast
 
 from mpipic.errors import OutputError
-from mpipic.files import plain, to_json
+from mpipic.files import json_object, plain, to_json
 from mpipic.study.points import Point
 
 COMPLETED, UNSTABLE, TIMEOUT, CRASHED = "completed", "unstable", "timeout", "crashed"
@@ -129,9 +128,5 @@ class Journal:
 
 
 def _parse(line: bytes) -> Record | None:
-    try:
-        record = json.loads(line)
-    except ValueError:
-        return None
-    whole = isinstance(record, dict) and {"id", "status", "repeat"} <= set(record)
-    return cast(Record, record) if whole else None
+    record = json_object(line)
+    return cast(Record, record) if {"id", "status", "repeat"} <= set(record) else None

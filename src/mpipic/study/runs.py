@@ -5,7 +5,6 @@ A run that crashes, blows up, or takes too long is a record like any other. Noth
 
 from __future__ import annotations
 
-import json
 import os
 import platform
 import re
@@ -25,7 +24,7 @@ from typing import IO, cast
 
 import psutil
 
-from mpipic.files import Unreadable, read_text, write_text
+from mpipic.files import Unreadable, json_object, read_text, write_text
 from mpipic.io.run_directory import SUMMARY
 from mpipic.runtime import RANKS, without_launcher
 from mpipic.scene.text import escape
@@ -183,10 +182,9 @@ def run_once(point: Point, scene_file: Path, repeat: int, timeout: float) -> Rec
 def _summary(path: Path) -> Mapping[str, object]:
     """Return what a run's summary.json holds, nothing where there is none."""
     try:
-        content = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError):
+        return json_object(read_text(path))
+    except Unreadable:
         return {}
-    return content if isinstance(content, dict) else {}
 
 
 def _message(status: str, ended: Ended, said: str) -> str:
