@@ -26,9 +26,10 @@ COMM = start()
 import numpy as np  # noqa: E402  after the settings that start() makes
 from numpy.typing import NDArray  # noqa: E402
 
+import mpipic.run.parts  # noqa: E402, F401  all that scenes can name
 from mpipic.analysis.growth import Monodromy, analyse  # noqa: E402
 from mpipic.analysis.recurrence import find  # noqa: E402
-from mpipic.mesh.basis import DEGREES  # noqa: E402
+from mpipic.mesh.basis import BASES  # noqa: E402
 from mpipic.scene.records import Scene  # noqa: E402
 
 Matrix = NDArray[np.float64]
@@ -116,7 +117,7 @@ class Steps:
 
     def __init__(self, scene: Scene) -> None:
         self.dim, self.n, self.scene = scene.dim, scene.grid.cells[0], scene
-        self.degree, self.share = DEGREES[scene.mapping.basis], min(1.0, scene.damping.null_space * scene.cfl)
+        self.degree, self.share = BASES[scene.mapping.basis].degree, min(1.0, scene.damping.null_space * scene.cfl)
         if scene.mapping.mass != "penalised":
             return
         dim, n, mapping, damping = self.dim, self.n, scene.mapping, scene.damping

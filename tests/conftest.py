@@ -5,6 +5,8 @@ import os
 import pytest
 from hypothesis import settings
 
+import mpipic.run.parts  # noqa: F401  all that scenes can name, whatever a test imports
+
 # `pytest --hypothesis-profile=default` searches anew.
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")

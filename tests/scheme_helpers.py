@@ -49,12 +49,17 @@ def sections(scheme):
     keep = {"kind": scheme.filter}
     if scheme.filter in ("order", "chebyshev"):
         keep["order"] = scheme.filter_order
-    if scheme.filter == "exact" or scheme.mass != "lumped" or scheme.integrator == "midpoint":
+    if scheme.filter == "exact":
         keep["tolerance"] = TIGHT
+    if scheme.mass != "lumped":
+        mapping["tolerance"] = TIGHT
+    time = {"integrator": scheme.integrator}
+    if scheme.integrator == "midpoint":
+        time["tolerance"] = TIGHT
     damping = {"order": scheme.damping, "null_space": scheme.null_space}
     if scheme.damping:
         damping["strength"] = scheme.strength
-    return {"mapping": mapping, "filter": keep, "damping": damping, "time": {"integrator": scheme.integrator}}
+    return {"mapping": mapping, "filter": keep, "damping": damping, "time": time}
 
 
 def scene_of_scheme(scheme, cells, length, gas, dt):

@@ -55,4 +55,6 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'mpipic' has no attribute {name!r}")
+    if _HOMES[name] == "scene.records":
+        import_module("mpipic.run.parts")  # all that a scene can name
     return getattr(import_module(f"mpipic.{_HOMES[name]}"), name)

@@ -63,25 +63,30 @@ def before_the_verb(
 
 def _load(path: Path | None, overrides: list[str] | None, comm: MPI.Comm, preset: str | None = None) -> Scene:
     """Read the scene on rank 0 and give it, or the refusal, to all."""
+    import mpipic.run.parts  # noqa: F401  all that scenes can name
+    from mpipic.console import Console
+    from mpipic.run.ranks import check_ranks
     from mpipic.scene.records import Scene, SceneError
 
     scene: Scene | SceneError | None = None
     if comm.rank == 0:
         try:
             scene = Scene.load(path, overrides or (), preset)
-            scene.check_ranks(comm.size)
+            check_ranks(scene, comm.size)
         except SceneError as error:
             scene = error
     scene = comm.bcast(scene)
     if isinstance(scene, SceneError):
         raise scene
     assert scene is not None
+    for unused in scene.unused:
+        Console(comm).warning(str(unused))
     return scene
 
 
 def _check_particle_file(scene: Scene, comm: MPI.Comm) -> None:
     """Raise SceneError on all ranks for a particle file that a run would refuse."""
-    if scene.particles.layout != "file":
+    if scene.particle_count is not None:
         return
     from mpipic.io.particle_file import check_particle_file
     from mpipic.run.build import physics_of

@@ -61,8 +61,8 @@ SCENES: dict[str, tuple[list[str], list[str]]] = {
     "not-yet": (
         overrides("particles.layout=clustered", "output.checkpoint_every=5"),
         [
-            'particles.layout = "clustered": not available yet; must be one of lattice, jittered, random, file',
-            "output.checkpoint_every = 5: not available yet; must be 0",
+            'particles.layout = "clustered": must be one of lattice, jittered, random, file',
+            "output.checkpoint_every = 5: must be 0: checkpoints cannot be written yet",
         ],
     ),
     "svd-too-large": (
@@ -233,8 +233,8 @@ def test_a_refused_scene_overwrites_nothing(said: Said, ranks: int) -> None:
 @pytest.mark.mpi
 def test_mpiexec_ends_with_code_2_and_the_message_once() -> None:
     ended = mpipic("run", "--set", "particles.layout=clustered", ranks=2)
-    assert ended.returncode == 2 and ended.stdout.count("not available") == 0
-    assert ended.stderr.count('particles.layout = "clustered": not available yet') == 1
+    assert ended.returncode == 2 and ended.stdout.count("clustered") == 0
+    assert ended.stderr.count('particles.layout = "clustered": must be one of') == 1
     assert "Traceback" not in ended.stderr
 
 

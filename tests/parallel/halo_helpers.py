@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from mpipic.mesh.decomposition import process_grid
+from mpipic.decomposition import process_grid
 from mpipic.mesh.grid import Grid
 from mpipic.mesh.halo import Halo
 from mpipic.runtime import start

@@ -22,7 +22,7 @@ def overrides(cells: list[int], flow: list[float], steps: int, *more: str, cfl: 
     length = [1.0, 0.9, 1.2][: len(cells)]
     return [
         f"grid.cells={cells}", f"grid.length={length}", f"gas.flow={flow}", "initial.sharpness=15",
-        "filter.tolerance=1e-13", f"time.cfl={cfl}", f"time.steps={steps}", *more,
+        f"time.cfl={cfl}", f"time.steps={steps}", *more,
     ]  # fmt: skip
 
 
@@ -30,11 +30,15 @@ def parts(mapping: str, kind: str, integrator: str, *more: str) -> list[str]:
     """Overrides that name a scheme: basis, mass and gradient in one string."""
     basis, mass, gradient = mapping.split()
     names = [f"mapping.basis={basis}", f"mapping.mass={mass}", f"mapping.gradient={gradient}"]
-    return [*names, f"filter.kind={kind}", f"time.integrator={integrator}", *more]
+    tight = [] if mass == "lumped" else ["mapping.tolerance=1e-13"]
+    tight += ["filter.tolerance=1e-13"] if kind == "exact" else []
+    tight += ["time.tolerance=1e-13"] if integrator == "midpoint" else []
+    return [*names, f"filter.kind={kind}", f"time.integrator={integrator}", *tight, *more]
 
 
 RECOMMENDED = [
-    f"{section}.{key}={value}" for section, keys in PRESETS["recommended"].items() for key, value in keys.items()
+    *(f"{section}.{key}={value}" for section, keys in PRESETS["recommended"].items() for key, value in keys.items()),
+    "mapping.tolerance=1e-13",
 ]
 HIGH_ORDER = parts("quadratic consistent direct", "exact", "rk4")
 SKEW = parts("cubic consistent skew", "exact", "rk4")

@@ -11,8 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from covering_helpers import covering
-from mpipic.physics.acoustics import solutions as exact
-from mpipic.physics.acoustics.solutions import PROFILES, CosineSeries, Gas, gaussian_waves, periodic_gaussian, solution
+from mpipic.physics.acoustics import cosines, solutions
+from mpipic.physics.acoustics.cosines import CosineSeries, gaussian_waves, periodic_gaussian
+from mpipic.physics.acoustics.gas import Gas
+from mpipic.physics.acoustics.solutions import PROFILES, solution
 
 LENGTH = (1.0, 1.5, 0.8)
 CENTER = (0.3, 0.9, 0.5)
@@ -313,7 +315,8 @@ def test_no_points_give_empty_fields(profile, d, t):
 def test_chunks_and_blocks_do_not_show(profile, d, monkeypatch):
     x, exact_solution = points(d, 150), build(profile, d)
     whole = exact_solution(x, 0.5), exact_solution(x, 0.0)
-    monkeypatch.setattr(exact, "CHUNK", 300)
+    monkeypatch.setattr(cosines, "CHUNK", 300)
+    monkeypatch.setattr(solutions, "CHUNK", 300)
     pieces = exact_solution(x, 0.5), exact_solution(x, 0.0)
     for a, b in zip(itertools.chain(*pieces), itertools.chain(*whole)):
         np.testing.assert_allclose(a, b, rtol=0, atol=1e-13)

@@ -12,7 +12,7 @@ _spec = importlib.util.spec_from_file_location("growth_survey", ROOT / "benchmar
 survey = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(survey)
 
-TIGHT = ["filter.tolerance=1e-13"]
+TIGHT = ["mapping.tolerance=1e-13"]
 MOVES = {1: (0.4, 2, (1,)), 2: (0.5, 2, (1, 3)), 3: (0.4, 2, (1, 1, 2))}
 
 

@@ -1,10 +1,13 @@
-"""What is refused in a scene, and in which words."""
+"""What is refused in a scene, what is only pointed out, and in which words."""
 
 import pytest
 
-from mpipic.scene.records import CHOICES, FIXED_FOR_NOW, USED_WITH, Problem, Scene, SceneError, available
-from mpipic.scene.text import closest
+from mpipic import parts
+from mpipic.scene.records import Problem, Scene, SceneError
+from mpipic.wording import closest
 from scene_helpers import message, refused
+
+CHOOSERS = [slot for slot in parts.slots("acoustics") if "." in slot]
 
 
 def test_a_misspelt_choice_names_key_value_choices_and_the_closest():
@@ -19,27 +22,9 @@ def test_a_misspelt_choice_names_key_value_choices_and_the_closest():
     )
 
 
-def test_a_misspelt_choice_names_what_is_not_available_yet():
-    assert message("particles.layout=latice") == (
-        'particles.layout = "latice": must be one of lattice, jittered, random, file (clustered is not available yet). '
-        'Did you mean "lattice"?'
-    )
-
-
-@pytest.mark.parametrize(("key", "name"), [(key, name) for key in CHOICES for name in CHOICES[key]])
-def test_a_choice_is_either_available_or_refused_as_not_yet(key, name, tmp_path):
-    (tmp_path / "p.h5").write_bytes(b"x")
-    file = ["particles.layout=file", f"particles.path={tmp_path / 'p.h5'}"] if name == "file" else []
-    if CHOICES[key][name]:
-        Scene.load(None, [*file, f"{key}={name}"])
-    else:
-        text = message(f"{key}={name}")
-        assert text.startswith(f'{key} = "{name}": not available yet; must be ')
-        assert all(choice in text for choice in available(key))
-
-
-def test_what_is_available_is_what_this_version_can_do():
-    assert {key: available(key) for key in CHOICES} == {
+def test_choices_are_those_that_this_version_can_do():
+    assert {key: tuple(parts.choices(key, "acoustics")) for key in CHOOSERS} == {
+        "physics.kind": ("acoustics",),
         "particles.layout": ("lattice", "jittered", "random", "file"),
         "initial.profile": ("gaussian", "plane-gaussian", "plane-wave", "standing-wave", "file"),
         "mapping.basis": ("linear", "quadratic", "cubic"),
@@ -48,101 +33,114 @@ def test_what_is_available_is_what_this_version_can_do():
         "filter.kind": ("none", "local", "order", "chebyshev", "exact", "svd"),
         "time.integrator": ("symplectic", "rk4", "midpoint"),
     }
+    assert message("physics.kind=gas") == 'physics.kind = "gas": must be acoustics'
 
 
-@pytest.mark.parametrize("key", FIXED_FOR_NOW)
-def test_a_number_that_switches_on_a_later_part_is_refused(key):
-    assert message(f"{key}=4") == f"{key} = 4: not available yet; must be 0"
-    assert message(f"{key}=-1").endswith("must be a whole number, 0 or above")
-
-
-def test_a_later_choice_is_available_after_one_change_in_the_registry(monkeypatch):
-    monkeypatch.setitem(CHOICES["particles.layout"], "clustered", True)
-    assert Scene.load(None, ["particles.layout=clustered", "particles.seed=6"]).particles.seed == 6
-    assert message("particles.seed=6").endswith("used with particles.layout = jittered, random, clustered")
-    monkeypatch.delitem(FIXED_FOR_NOW, "output.checkpoint_every")
-    assert Scene.load(None, ["output.checkpoint_every=4"]).output.checkpoint_every == 4
-
-
-def test_a_key_whose_only_users_are_not_available_yet_says_so(monkeypatch):
-    monkeypatch.setitem(CHOICES["mapping.mass"], "penalised", False)
-    text = 'has no effect with mapping.mass = "lumped"; it is used with mapping.mass = penalised, not available yet'
-    assert message("mapping.penalty=0.2").endswith(text)
-    monkeypatch.setitem(CHOICES["filter.kind"], "exact", False)
-    assert "it is used with filter.kind = exact, not available yet or mapping.mass" in message("filter.tolerance=1e-8")
-    monkeypatch.setitem(FIXED_FOR_NOW, "damping.order", 0)
-    assert message("damping.strength=2").endswith("it is used with damping.order above 0, not available yet")
-
-
-@pytest.mark.parametrize("kind", ["exact", "svd"])
-def test_the_projections_can_be_chosen_and_exact_takes_a_tolerance(kind):
-    assert Scene.load(None, [f"filter.kind={kind}"]).filter.kind == kind
-    if kind == "exact":
-        assert Scene.load(None, ["filter.kind=exact", "filter.tolerance=1e-6"]).filter.tolerance == 1e-6
-    else:
-        assert 'no effect with filter.kind = "svd"; it is used with filter.kind = exact' in message(
-            "filter.kind=svd", "filter.tolerance=1e-6"
-        )
-    assert message(f"filter.kind={kind}", "filter.order=3").endswith(
-        f'no effect with filter.kind = "{kind}"; it is used with filter.kind = order, chebyshev'
+def test_what_cannot_be_done_yet_is_said_in_one_place():
+    assert (
+        message("output.checkpoint_every=4")
+        == "output.checkpoint_every = 4: must be 0: checkpoints cannot be written yet"
     )
+    assert Scene.load(None, ["output.checkpoint_every=0"]).output.checkpoint_every == 0
+    assert "yet" not in message("particles.layout=clustered")
 
+
+# --- keys that nothing uses -------------------------------------------------------------------------------------------
 
 UNUSED = [
+    (["particles.jitter=0.4"], 'particles.layout = "lattice" takes no jitter; jittered does'),
+    (["particles.seed=3"], 'particles.layout = "lattice" takes no seed; jittered and random do'),
+    (["particles.path=/x.h5"], 'particles.layout = "lattice" takes no path; file does'),
     (
-        ["particles.jitter=0.4"],
-        'has no effect with particles.layout = "lattice"; it is used with particles.layout = jittered',
+        ["initial.wave=[2]"],
+        'initial.profile = "gaussian" takes no wave; plane-gaussian, plane-wave and standing-wave do',
     ),
-    (["particles.seed=3"], "it is used with particles.layout = jittered, random"),
     (
-        ["particles.path=x.h5"],
-        'has no effect with particles.layout = "lattice"; it is used with particles.layout = file',
+        ["initial.sharpness=3", "initial.profile=plane-wave"],
+        'initial.profile = "plane-wave" takes no sharpness; gaussian and plane-gaussian do',
     ),
-    (["initial.wave=[2]"], "it is used with initial.profile = plane-gaussian, plane-wave, standing-wave"),
-    (["initial.wave=[1, 1]"], 'has no effect with initial.profile = "gaussian"'),
-    (["initial.sharpness=3", "initial.profile=plane-wave"], 'has no effect with initial.profile = "plane-wave"'),
-    (["initial.center=[0.2]", "initial.profile=standing-wave"], "used with initial.profile = gaussian, plane-gaussian"),
     (
-        ["mapping.penalty=0.2"],
-        'has no effect with mapping.mass = "lumped"; it is used with mapping.mass = penalised',
+        ["initial.center=[7.5]", "initial.profile=standing-wave"],
+        'initial.profile = "standing-wave" takes no center; gaussian and plane-gaussian do',
     ),
-    (["mapping.penalty_order=3"], "it is used with mapping.mass = penalised"),
-    (["mapping.gradient_order=4"], "it is used with mapping.gradient = grid"),
-    (["filter.order=3"], "it is used with filter.kind = order, chebyshev"),
+    (["mapping.penalty=0.2"], 'mapping.mass = "lumped" takes no penalty; penalised does'),
+    (["mapping.penalty_order=3"], 'mapping.mass = "lumped" takes no penalty_order; penalised does'),
+    (["mapping.tolerance=0.001"], 'mapping.mass = "lumped" takes no tolerance; consistent and penalised do'),
+    (["mapping.gradient_order=4"], 'mapping.gradient = "direct" takes no gradient_order; grid does'),
+    (["filter.order=2"], 'filter.kind = "local" takes no order; order and chebyshev do'),
+    (["filter.order=2", "filter.kind=svd"], 'filter.kind = "svd" takes no order; order and chebyshev do'),
+    (["filter.tolerance=0.001"], 'filter.kind = "local" takes no tolerance; exact does'),
     (
-        ["filter.tolerance=1e-8"],
-        'has no effect with filter.kind = "local"; it is used with filter.kind = exact or mapping.mass = consistent, '
-        "penalised or time.integrator = midpoint",
+        ["filter.tolerance=0.001", "mapping.mass=consistent", "time.integrator=midpoint"],
+        'filter.kind = "local" takes no tolerance; exact does',
     ),
-    (["damping.strength=2"], "has no effect with damping.order = 0; it is used with damping.order above 0"),
+    (["damping.strength=2.0"], "damping.order = 0 takes no strength"),
+    (["time.tolerance=0.001"], 'time.integrator = "symplectic" takes no tolerance; midpoint does'),
 ]
 
 
 @pytest.mark.parametrize(
-    ("overrides", "expected"), UNUSED, ids=lambda value: value[0] if isinstance(value, list) else ""
+    ("overrides", "why"), UNUSED, ids=lambda value: " ".join(value) if isinstance(value, list) else ""
 )
-def test_a_key_that_does_nothing_is_refused_and_says_what_would_use_it(overrides, expected):
-    text = message(*overrides)
-    assert text.startswith(overrides[0].split("=")[0] + " = ") and expected in text
-    assert "not available yet" not in text
+def test_a_key_that_nothing_uses_is_pointed_out_and_changes_nothing(overrides, why):
+    scene = Scene.load(None, overrides)
+    (unused,) = scene.unused
+    key, value = overrides[0].split("=")
+    assert unused.key == key
+    assert str(unused) in (f"{key} = {value} is not used: {why}", f'{key} = "{value}" is not used: {why}')
+    assert scene == Scene.load(None, overrides[1:]) and not Scene.load(None, overrides[1:]).unused
+    section, name = key.split(".")
+    assert name not in scene.to_dict()[section] and not hasattr(getattr(scene, section), name)
+    assert Scene.from_toml(scene.to_toml()).unused == ()
 
 
-def test_every_key_with_a_condition_is_among_the_cases_above():
-    covered = {overrides[0].split("=")[0] for overrides, _ in UNUSED}
-    assert covered == set(USED_WITH) - {"particles.per_cell"}
-
-
-def test_particles_per_cell_do_nothing_for_particles_from_a_file(tmp_path):
+def test_every_key_that_some_choice_does_not_take_is_among_the_cases_above(tmp_path):
     (tmp_path / "p.h5").write_bytes(b"x")
-    text = message("particles.layout=file", f"particles.path={tmp_path / 'p.h5'}", "particles.per_cell=[3]")
-    assert text.endswith("it is used with particles.layout = lattice, jittered, random")
+    file = ["particles.layout=file", f"particles.path={tmp_path / 'p.h5'}"]
+    never = set()
+    for slot in CHOOSERS:
+        for kind, part in parts.choices(slot, "acoustics").items():
+            others = {
+                one.dotted for other in parts.choices(slot, "acoustics").values() for one in other.keys().values()
+            }
+            assert Scene.load(None, [*(file if kind == "file" else []), f"{slot}={kind}"]).unused == ()
+            never |= others - {one.dotted for one in part.keys().values()}
+    assert never - {"particles.per_cell"} == {overrides[0].split("=")[0] for overrides, _ in UNUSED} - {
+        "damping.strength"
+    }
 
 
-def test_an_unused_key_may_hold_its_default():
-    scene = Scene.load(None, ["particles.jitter=0", "initial.wave=[1]", "filter.order=2", "damping.strength=1"])
-    assert scene == Scene.load(None)
-    assert Scene.load(None, ["grid.length=[3]", "initial.profile=plane-wave", "initial.center=[1.5]"])
+def test_particles_per_cell_are_not_used_for_particles_from_a_file(tmp_path):
+    (tmp_path / "p.h5").write_bytes(b"x")
+    more = ["particles.layout=file", f"particles.path={tmp_path / 'p.h5'}", "particles.per_cell=[3]"]
+    (unused,) = Scene.load(None, more).unused
+    assert str(unused).endswith('particles.layout = "file" takes no per_cell; lattice, jittered and random do')
 
+
+def test_changing_the_filter_of_a_scene_leaves_its_settings_unused_and_valid():
+    text = '[filter]\nkind = "order"\norder = 5\n'
+    assert Scene.from_toml(text).filter.order == 5
+    for kind in ("none", "local", "exact", "svd"):
+        scene = Scene.from_toml(text, [f"filter.kind={kind}"])
+        assert [one.key for one in scene.unused] == ["filter.order"] and scene == Scene.load(
+            None, [f"filter.kind={kind}"]
+        )
+
+
+def test_what_nothing_uses_must_still_be_right():
+    assert message("filter.order=0") == "filter.order = 0: must be a whole number, 1 or above"
+    error = refused({}, ["filter.order=zero", "filter.tolerance=2", "mapping.penalty=-1"])
+    assert [problem.key for problem in error.problems] == ["mapping.penalty", "filter.order", "filter.tolerance"]
+
+
+def test_nothing_is_called_unused_while_what_would_use_it_is_wrong():
+    assert [p.key for p in refused({}, ["filter.kind=ordr", "filter.order=3"]).problems] == ["filter.kind"]
+    assert (
+        Scene.load(None, ["damping.order=2", "mapping.mass=consistent", "damping.strength=2"]).damping.strength == 2.0
+    )
+
+
+# --- values that are wrong --------------------------------------------------------------------------------------------
 
 BAD_VALUES = {
     "grid.cells": ["0", "[0]", "[]", "[1, 2, 3, 4]", "[1.0]", "[true]", '["8"]', "8", "[[8]]", "[9223372036854775808]"],
@@ -159,6 +157,7 @@ BAD_VALUES = {
     "initial.wave": ["[1.0]", "1", "[true]"],
     "mapping.penalty": ["0", "-1", "inf"],
     "mapping.penalty_order": ["0", "1.5"],
+    "mapping.tolerance": ["0", "1", "nan"],
     "mapping.gradient_order": ["0", "3", "14", "10.0"],
     "filter.order": ["0", "-1", "2.0"],
     "filter.tolerance": ["0", "1", "nan", "-1e-10"],
@@ -168,6 +167,7 @@ BAD_VALUES = {
     "time.dt": ["0", "-1e-3", "inf", "nan", "[1]", "true"],
     "time.cfl": ["0", "-0.1", "inf", "nan"],
     "time.blow_up": ["1", "0.5", "inf", "-100", "nan"],
+    "time.tolerance": ["0", "1", "x"],
     "time.steps": ["-1", "10.0", "1e3", "true", "many"],
     "output.every": ["-1", "1.5", "true"],
     "output.checkpoint_every": ["-1", "x"],
@@ -176,8 +176,8 @@ BAD_VALUES = {
 
 
 def test_every_key_that_is_not_a_choice_is_among_the_bad_values():
-    keys = {f"{section}.{key}" for section, table in Scene().to_dict().items() for key in table} | {"time.cfl"}
-    assert set(BAD_VALUES) == keys - set(CHOICES)
+    keys = {f"{section}.{key}" for section, keys in parts.sections().items() for key in keys}
+    assert set(BAD_VALUES) == keys - set(CHOOSERS)
 
 
 @pytest.mark.parametrize(("key", "value"), [(key, value) for key, values in BAD_VALUES.items() for value in values])
@@ -186,10 +186,10 @@ def test_a_value_of_the_wrong_type_or_range_is_refused_by_name(key, value):
     assert text.startswith(f"{key} = ") and ": must be " in text
 
 
-@pytest.mark.parametrize(("key", "value"), [(key, value) for key in CHOICES for value in ("3", "true", '""', "[]")])
+@pytest.mark.parametrize(("key", "value"), [(key, value) for key in CHOOSERS for value in ("3", "true", '""', "[]")])
 def test_a_choice_that_is_no_name_is_refused_with_the_choices(key, value):
     text = message(f"{key}={value}")
-    assert all(name in text for name in CHOICES[key])
+    assert all(name in text for name in parts.choices(key, "acoustics"))
 
 
 def test_a_number_in_quotes_is_recognised():
@@ -206,7 +206,7 @@ CROSS = [
     (["particles.layout=jittered", "particles.per_cell=[2, 2]"], "particles.per_cell", "must have as many entries"),
     (
         ["grid.cells=[8, 8]", "particles.layout=random", "particles.per_cell=[2, 2]"],
-        *("particles.per_cell", 'must have exactly 1 entry with particles.layout = "random"'),
+        *("particles.per_cell", "must be a list of exactly 1 entry, a whole number, 1 or above, for example [4]"),
     ),
     (["grid.cells=[2147483648]"], "grid.cells", "must be fewer than 2^31 = 2147483648 cells"),
     (["grid.cells=[2048, 1024, 1024]"], "grid.cells", "must be fewer than 2^31"),
@@ -292,7 +292,6 @@ def test_everything_wrong_is_reported_at_once_in_the_order_of_the_scene():
         [filtr]
         kind = "local"
         [initial]
-        wave = [2, 2]
         sharpness = -1
         [mapping]
         basis = "quintic"
@@ -304,14 +303,17 @@ def test_everything_wrong_is_reported_at_once_in_the_order_of_the_scene():
     """
     error = refused(text, ["time.blow_up=0", "nonsense", "gas.density=nan"])
     keys = ["--set nonsense", "speed", "filtr", "grid.lenght", "particles.per_cell", "gas.density", "initial.sharpness"]
-    keys += ["initial.wave", "mapping.basis", "time.dt", "time.blow_up", "output.report_at"]
+    keys += ["mapping.basis", "time.dt", "time.blow_up", "output.report_at"]
     assert [problem.key for problem in error.problems] == keys
 
 
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("[filtr]", 'filtr: there is no such section; the sections are grid, particles, .*Did you mean "filter"'),
+        (
+            "[filtr]",
+            'filtr: there is no such section; the sections are physics, grid, particles, .*Did you mean "filter"',
+        ),
         (
             "[grid]\nlenght = [2]",
             r'grid.lenght = \[2\]: there is no such key; \[grid\] has cells, length.*"grid.length"',

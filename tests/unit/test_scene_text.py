@@ -8,7 +8,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from mpipic.scene.records import CHOICES, Scene, SceneError
+from mpipic import parts
+from mpipic.scene.records import Scene, SceneError
 from scene_helpers import message, refused
 
 
@@ -128,9 +129,9 @@ def test_an_error_survives_pickling():
 
 # --- anything at all --------------------------------------------------------------------------------------------------
 
-SECTIONS = list(Scene().to_dict())
-KEYS = sorted({key for table in Scene().to_dict().values() for key in table} | {"cfl"})
-NAMES = sorted({name for names in CHOICES.values() for name in names})
+SECTIONS = list(parts.sections())
+KEYS = sorted({key for keys in parts.sections().values() for key in keys})
+NAMES = sorted({part.kind for part in parts.registered() if part.kind})
 scalars = (
     st.booleans()
     | st.integers()
@@ -166,7 +167,7 @@ def plausible(draw):
     """Draw known keys with values that are often of the right type and sometimes extreme."""
     number = st.sampled_from([0, 1, -1, 2, 0.5, 1e-320, 1e308, 5e-324, -0.0, 2**31, 2**62, 10**400])
     value = number | st.lists(number, min_size=1, max_size=3) | st.sampled_from(NAMES)
-    dotted = [f"{section}.{key}" for section, table in Scene().to_dict().items() for key in [*table, "cfl"]]
+    dotted = [f"{section}.{key}" for section, keys in parts.sections().items() for key in keys]
     return [f"{draw(st.sampled_from(dotted))}={draw(value)}" for _ in range(draw(st.integers(1, 6)))]
 
 

@@ -105,6 +105,6 @@ def test_an_order_below_1_is_refused(cls):
 
 def test_a_filter_takes_its_order_from_the_scene():
     mapping, _ = case("1D", "lattice")
-    settings = Scene.load(None, ["filter.kind=order", "filter.order=5"]).filter
+    settings = Scene.load(None, ["filter.kind=order", "filter.order=5"]).settings("filter.kind")
     assert create("order", mapping, settings).order == 5
-    assert not hasattr(create("local", mapping, settings), "order")
+    assert not hasattr(create("local", mapping, {}), "order")

@@ -95,10 +95,8 @@ class Comparison:
 
     def row(self, choice: Choice) -> FilterRow:
         """Apply the filter, and say what it costs and does. Collective."""
-        settings = choice.settings
-        if settings.kind == "svd":
-            check_filter(self.scene, self.total, self.comm, "svd")
-        filter_ = filters.create(settings.kind, self.mapping, settings)
+        check_filter(self.scene, self.total, self.comm, choice.kind)
+        filter_ = filters.create(choice.kind, self.mapping, choice.settings)
         first = self._seconds(filter_)
         times = [self._seconds(filter_)]
         while len(times) < 3 or (sum(times) < LONGEST and len(times) < MOST):
@@ -109,8 +107,8 @@ class Comparison:
         sums = self.grid.reduce(np.array([filtered.sum(), self.q.sum(), np.abs(self.q).sum()]))
         return FilterRow(
             filter=choice.label,
-            kind=settings.kind,
-            order=settings.order if "order" in filters.FILTERS[settings.kind].settings else None,
+            kind=choice.kind,
+            order=choice.settings.get("order"),
             setup_seconds=max(0.0, first - statistics.median(times)),
             seconds=statistics.median(times),
             spread=(min(times), max(times)),

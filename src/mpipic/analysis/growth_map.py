@@ -91,7 +91,7 @@ def points(
         for x, y in product(axes[0].values, axes[1].values):
             placed = with_value(with_value(scene, axes[0].key, x), axes[1].key, y)
             data = placed.to_dict()
-            data["filter"] = choice.settings.model_dump()
+            data["filter"] = {"kind": choice.kind, **choice.settings}
             rounded = with_flow(Scene.from_dict(data, name=scene.name), most)
             flow = tuple(rounded.gas.flow)
             try:

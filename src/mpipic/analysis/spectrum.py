@@ -80,9 +80,8 @@ def measure(scene: Scene, choices: Sequence[Choice], comm: MPI.Comm, phase: floa
     turn = 2.0 * np.pi * np.ascontiguousarray(particles.coordinate) / np.array(grid.cells)
     points = []
     for choice in choices:
-        if choice.settings.kind == "svd":
-            check_filter(scene, total, comm, "svd")
-        filter_ = filters.create(choice.settings.kind, mapping, choice.settings)
+        check_filter(scene, total, comm, choice.kind)
+        filter_ = filters.create(choice.kind, mapping, choice.settings)
         for name, unit, waves in directions(grid.cells):
             shortest = min(n for n, periods in zip(grid.cells, unit, strict=True) if periods)
             kept = _kept(filter_, turn @ np.array(unit, dtype=float), phase, waves, grid)

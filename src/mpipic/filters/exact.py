@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING
 
 from mpipic.arrays import FloatArray
 from mpipic.filters.family import NodalFilter
+from mpipic.keys import IN_0_1, Keys, Share, key
+from mpipic.mapping.mass import gram_doubles
+from mpipic.parts import GRAM_SOLVER, SOLVED_FILTER, Values
 
 if TYPE_CHECKING:
     from mpipic.mapping.base import NodalMapping
@@ -41,7 +44,32 @@ class ExactFilter(NodalFilter):
     """
 
     kind = "exact"
-    settings = ("tolerance",)
+    about = "the orthogonal projection on what nodes see, by conjugate gradients on the nodes"
+    is_projection = True
+    traits = (SOLVED_FILTER,)
+    brings_in = ("filter", "linear solvers")
+
+    class Settings(Keys):
+        """Keys of the filter."""
+
+        tolerance: Share = key(1e-10, IN_0_1, "relative residual of the solve")
+
+    @classmethod
+    def describe(cls, v: Values) -> str:
+        """Return how it is applied."""
+        if not cls.acts(v):
+            return "exact: nothing to do, gradients on the nodes are in its range"
+        return f"exact: conjugate gradients on the nodes to {v['filter.tolerance']:g}, neighbours and dot products"
+
+    @classmethod
+    def brings(cls, v: Values) -> tuple[str, ...]:
+        """Return everything where it acts."""
+        return cls.brings_in if cls.acts(v) else ()
+
+    @classmethod
+    def node_doubles(cls, v: Values) -> int:
+        """Return the Gram matrix with its solver, unless the mass has the same."""
+        return gram_doubles(v) if cls.acts(v) and not v.has(GRAM_SOLVER) else 0
 
     def __init__(self, mapping: NodalMapping, tolerance: float = 1e-10) -> None:
         super().__init__(mapping)

@@ -1,41 +1,65 @@
 """Null-space filters: linear operators on particle values that keep what the nodes see and remove what they do not.
 
-A filter is a class with a `kind`, registered in `FILTERS`. All but the singular value decomposition have the form
-F = Φ N Φᵀ with a nodal operator N: they take the nodal sums Φᵀq of particle values q to nodal coefficients
-a = N Φᵀq, and their result is Φ a.
+A filter is a part (see `mpipic.parts`): a class with a `kind`, which `FILTERS` then holds. All but the singular value
+decomposition have the form F = Φ N Φᵀ with a nodal operator N: they take the nodal sums Φᵀq of particle values q to
+nodal coefficients a = N Φᵀq, and their result is Φ a.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from mpipic.arrays import FloatArray
+from mpipic.parts import A_FILTER, NODAL_FILTER, NODAL_GRADIENTS, Choices, Part, Values
 
 if TYPE_CHECKING:
+    from mpi4py import MPI
+
     from mpipic.mapping.base import NodalMapping
 
-FILTERS: dict[str, type[Filter]] = {}
-"""Kind to class."""
+
+class TooLarge(MemoryError):
+    """What a filter needs would not fit into the memory of this machine; the message says by how much."""
 
 
-class Filter(ABC):
+class FilterPart(Part):
+    """What a scene can name as its filter, `none` among it.
+
+    Attributes
+    ----------
+    is_projection
+        Whether it is the orthogonal projection on range(Φ), which changes nothing that comes from nodal coefficients.
+    """
+
+    slot = "filter.kind"
+    is_projection: ClassVar[bool] = False
+
+    @classmethod
+    def acts(cls, v: Values) -> bool:
+        """Whether the filter changes anything: a projection does nothing to gradients taken on the nodes."""
+        return not (cls.is_projection and v.has(NODAL_GRADIENTS))
+
+
+class Filter(FilterPart, ABC):
     """A filter at the positions of a mapping.
 
     Parameters
     ----------
     mapping
         What the filter works with; when it moves on to new positions, so does the filter.
+
+    A class takes the keys of its `Settings` as further keywords, with the same defaults.
     """
 
-    kind: ClassVar[str]
-    settings: ClassVar[tuple[str, ...]] = ()
-    """Keys of the scene's [filter] section that the class takes as keywords, with the same defaults."""
+    brings_in: ClassVar[tuple[str, ...]] = ("filter",)
+    traits = (A_FILTER,)
 
-    def __init_subclass__(cls) -> None:
-        if "kind" in vars(cls):
-            FILTERS[cls.kind] = cls
+    @staticmethod
+    def check_memory(nodes: int, particles: int, comm: MPI.Comm) -> None:
+        """Raise TooLarge on all ranks if there is no memory for the filter. Collective."""
+        return
 
     def __init__(self, mapping: NodalMapping) -> None:
         self.mapping = mapping
@@ -81,6 +105,8 @@ class Filter(ABC):
 class NodalFilter(Filter):
     """A filter F = Φ N Φᵀ."""
 
+    traits = (NODAL_FILTER,)
+
     @abstractmethod
     def coefficients(
         self, sums: FloatArray, out: FloatArray | None = None, series: Hashable | None = None
@@ -104,7 +130,10 @@ class NodalFilter(Filter):
         return self.mapping.g2p(self.coefficients(self.mapping.sums(q)))
 
 
-def create(kind: str, mapping: NodalMapping, settings: Any) -> Filter:
-    """Return the filter `kind` with what it needs of `settings`, a record like the scene's [filter] section."""
-    cls = FILTERS[kind]
-    return cls(mapping, **{name: getattr(settings, name) for name in cls.settings})
+FILTERS: Choices[Filter] = Choices(Filter)
+"""Kind to class."""
+
+
+def create(kind: str, mapping: NodalMapping, settings: Mapping[str, Any]) -> Filter:
+    """Return the filter `kind` with its settings by name."""
+    return FILTERS[kind](mapping, **settings)

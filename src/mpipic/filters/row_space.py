@@ -21,6 +21,7 @@ from petsc4py import PETSc
 
 from mpipic.arrays import FloatArray, columns_of
 from mpipic.errors import NotConverged
+from mpipic.filters.family import TooLarge
 from mpipic.kernels import spline
 
 if TYPE_CHECKING:
@@ -30,10 +31,6 @@ TOLERANCE = 1e-14
 """Relative residual of the triplets."""
 MOST_RESTARTS = 30
 """Of Lanczos, which here has room for all vectors at once and needs no more than a few."""
-
-
-class TooLarge(MemoryError):
-    """The decomposition would not fit into the memory of this machine; the message says by how much."""
 
 
 class RowSpace:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 from mpipic.arrays import FloatArray
 from mpipic.filters.family import NodalFilter
+from mpipic.keys import FROM_1, Count, Keys, key
+from mpipic.parts import Values
 
 if TYPE_CHECKING:
     from mpipic.mapping.base import NodalMapping
@@ -25,6 +27,13 @@ class LocalFilter(NodalFilter):
     """
 
     kind = "local"
+    about = "to the nodes and back: smooths what the nodes see as well"
+    is_default = True
+
+    @classmethod
+    def describe(cls, v: Values) -> str:
+        """Return what an application costs."""
+        return "local: neighbours only, 1 halo exchange an application"
 
     def coefficients(
         self, sums: FloatArray, out: FloatArray | None = None, series: Hashable | None = None
@@ -41,7 +50,18 @@ class _Series(NodalFilter):
     communication only: k halo exchanges, no reductions.
     """
 
-    settings = ("order",)
+    argument = "order"
+
+    class Settings(Keys):
+        """Keys of the filter."""
+
+        order: Count = key(2, FROM_1, "terms of the series, each of which costs a halo exchange")
+
+    @classmethod
+    def describe(cls, v: Values) -> str:
+        """Return what an application costs."""
+        order = v["filter.order"]
+        return f"{cls.kind} {order}: neighbours only, {order} halo exchange{'s' * (order > 1)} an application"
 
     def __init__(self, mapping: NodalMapping, order: int = 2) -> None:
         super().__init__(mapping)
@@ -82,6 +102,7 @@ class OrderFilter(_Series):
     """
 
     kind = "order"
+    about = "a truncated Neumann series, flat on long waves; order 1 is local"
 
     def _sum_up(self, means: FloatArray) -> FloatArray:
         term, total = means, means.copy()
@@ -110,6 +131,7 @@ class ChebyshevFilter(_Series):
     """
 
     kind = "chebyshev"
+    about = "a Chebyshev series, sharper than order at the same cost"
 
     def _sum_up(self, means: FloatArray) -> FloatArray:
         low = 3.0**-self.mapping.grid.dim

@@ -6,8 +6,11 @@ from typing import TYPE_CHECKING
 
 from mpipic.arrays import FloatArray
 from mpipic.filters.family import Filter
+from mpipic.parts import PENALTY, Broken, Values, rule
 
 if TYPE_CHECKING:
+    from mpi4py import MPI
+
     from mpipic.filters.row_space import RowSpace
     from mpipic.mapping.base import NodalMapping
 
@@ -28,6 +31,36 @@ class SvdFilter(Filter):
     """
 
     kind = "svd"
+    about = "the same projection by singular vectors: the paper's global filter, for small scenes"
+    is_projection = True
+    brings_in = ("filter", "SLEPc", "assembled matrices")
+
+    @rule("filter.kind", "mapping.mass", "mapping.gradient")
+    @staticmethod
+    def knows_no_penalty(v: Values) -> Broken | None:
+        """The reference works on particle values, where the penalised scheme is not defined."""
+        if not v.has(PENALTY) or not SvdFilter.acts(v):
+            return None
+        return "filter.kind", 'svd needs mapping.mass = lumped or consistent, or mapping.gradient = "grid"; use exact'
+
+    @staticmethod
+    def check_memory(nodes: int, particles: int, comm: MPI.Comm) -> None:
+        """Raise TooLarge on all ranks if there is no memory for all singular triplets. Collective."""
+        from mpipic.filters.row_space import check_memory
+
+        check_memory(nodes, particles, comm)
+
+    @classmethod
+    def describe(cls, v: Values) -> str:
+        """Return how it is applied."""
+        if not cls.acts(v):
+            return "svd: nothing to do, gradients on the nodes are in its range"
+        return "svd: all singular triplets of the mapping matrix by SLEPc, whenever particles have moved"
+
+    @classmethod
+    def brings(cls, v: Values) -> tuple[str, ...]:
+        """Return everything where it acts."""
+        return cls.brings_in if cls.acts(v) else ()
 
     def __init__(self, mapping: NodalMapping) -> None:
         super().__init__(mapping)

@@ -17,7 +17,6 @@ from petsc4py import PETSc
 
 from mpipic.arrays import FloatArray
 from mpipic.kernels import stencil
-from mpipic.mesh.basis import REACH
 from mpipic.mesh.halo import Halo, PaddedColumns
 
 if TYPE_CHECKING:
@@ -75,7 +74,7 @@ class GramStencil:
         self.mapping, self.grid, self.penalty = mapping, grid, penalty
         self.reach = max(degree, penalty.order if penalty else 0)
         self.halo = Halo(grid.comm, grid.cells, grid.starts, self.reach)
-        self._touched = Halo(grid.comm, grid.cells, grid.starts, self.reach, REACH[degree])
+        self._touched = Halo(grid.comm, grid.cells, grid.starts, self.reach, grid.reach)
         self._coupled = Halo(grid.comm, grid.cells, grid.starts, self.reach, (degree, degree))
         steps = np.array([1, *self.halo.layout[1:]])
         self.shape = grid.padded_shape

@@ -15,11 +15,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mpipic.arrays import FloatArray
+from mpipic.keys import ABOVE_0, IN_0_1, Keys, Positive, Share, UpTo8, key
+from mpipic.mesh.basis import BASES
+from mpipic.parts import GRAM_SOLVER, LEAST_SQUARES, PENALTY, Choices, Part, Values
 
 if TYPE_CHECKING:
     from mpipic.mapping.base import NodalMapping
@@ -74,8 +77,16 @@ class Field:
         return self._values
 
 
-class Mass(ABC):
-    """How particle values become nodal fields."""
+class Mass(Part, ABC):
+    """How particle values become nodal fields.
+
+    A class takes the keys of its `Settings` as keywords after the mapping.
+    """
+
+    slot = "mapping.mass"
+
+    def __init__(self, mapping: NodalMapping, **settings: float) -> None:
+        """Take a mapping, and the keys of `Settings`."""
 
     @abstractmethod
     def fields(self, sums: FloatArray, name: str, quantities: Sequence[int] | None = None) -> FloatArray:
@@ -139,6 +150,15 @@ class Workspace:
 class LumpedMass(Mass):
     """S = diag(d)⁻¹ Φᵀ, weighted means."""
 
+    kind = "lumped"
+    about = "weighted means of the particles around a node"
+    is_default = True
+
+    @classmethod
+    def describe(cls, v: Values) -> str:
+        """Return the name."""
+        return "lumped mass"
+
     def __init__(self, mapping: NodalMapping) -> None:
         self.mapping = mapping
 
@@ -174,6 +194,14 @@ class LeastSquaresMass(Mass):
     the method is defined so.
     """
 
+    brings_in = ("linear solvers",)
+    traits = (LEAST_SQUARES,)
+
+    @classmethod
+    def node_doubles(cls, v: Values) -> int:
+        """Return the solver, and two earlier answers for each column."""
+        return gram_doubles(v) + 2 * (1 + v.dim)
+
     def __init__(self, mapping: NodalMapping, tolerance: float, penalty: Penalty | None = None) -> None:
         from mpipic.mapping.solver import GramSolver
 
@@ -207,12 +235,67 @@ class LeastSquaresMass(Mass):
         return self.solver.nbytes
 
 
+class ConsistentMass(LeastSquaresMass):
+    """G⁺ Φᵀ: the field that fits the particles best, by conjugate gradients."""
+
+    kind = "consistent"
+    about = "the field that fits the particles best (least squares)"
+    traits = (GRAM_SOLVER,)
+
+    class Settings(Keys):
+        """Keys of the mass."""
+
+        tolerance: Share = key(1e-10, IN_0_1, "relative residual of the solve")
+
+    def __init__(self, mapping: NodalMapping, tolerance: float = 1e-10) -> None:
+        super().__init__(mapping, tolerance)
+
+    @classmethod
+    def describe(cls, v: Values) -> str:
+        """Return the name."""
+        return "least squares"
+
+
+class PenalisedMass(LeastSquaresMass):
+    """(G + penalty)⁻¹ Φᵀ: the best fit that is smooth where particles say little."""
+
+    kind = "penalised"
+    about = "the best fit that is smooth where particles say little (P-splines)"
+    traits = (PENALTY,)
+
+    class Settings(Keys):
+        """Keys of the mass."""
+
+        penalty: Positive = key(0.1, ABOVE_0, "weight of the penalty")
+        penalty_order: UpTo8 = key(4, "a whole number from 1 to 8", "order of the differences that it is put on")
+        tolerance: Share = key(1e-10, IN_0_1, "relative residual of the solve")
+
+    def __init__(
+        self, mapping: NodalMapping, penalty: float = 0.1, penalty_order: int = 4, tolerance: float = 1e-10
+    ) -> None:
+        from mpipic.mapping.gram_stencil import Penalty
+
+        super().__init__(mapping, tolerance, Penalty(penalty, penalty_order))
+
+    @classmethod
+    def describe(cls, v: Values) -> str:
+        """Return the name, and the penalty."""
+        penalty, order = v["mapping.penalty"], v["mapping.penalty_order"]
+        return f"least squares with a penalty of {penalty:g} on differences of order {order}"
+
+
+MASSES: Choices[Mass] = Choices(Mass)
+"""Kind to class."""
+
+
+def gram_doubles(v: Values) -> int:
+    """Return the numbers that a solver with the Gram matrix keeps on a node.
+
+    They are the stencil by rows and by diagonals, and for every column that is solved for PETSc's vectors.
+    """
+    half = ((2 * BASES[v["mapping.basis"]].degree + 1) ** v.dim + 1) // 2
+    return 2 * half + 2 + 5 * (1 + v.dim)
+
+
 def _itself(fields: FloatArray) -> FloatArray:
     return fields
-
-
-def penalty_of(settings: Any) -> Penalty | None:
-    """Return the penalty that a record like the scene's [mapping] section asks for."""
-    from mpipic.mapping.gram_stencil import Penalty
-
-    return Penalty(settings.penalty, settings.penalty_order) if settings.mass == "penalised" else None

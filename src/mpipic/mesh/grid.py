@@ -22,8 +22,8 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from mpipic.arrays import FloatArray
-from mpipic.mesh.basis import DEGREES, REACH
-from mpipic.mesh.decomposition import process_grid
+from mpipic.decomposition import process_grid
+from mpipic.mesh.basis import BASES
 from mpipic.mesh.halo import Halo
 
 ON_NODE = 1e-10
@@ -55,8 +55,8 @@ class Grid:
     ----------
     dim, cells, length, h
         Dimension, cells, period and spacing per axis.
-    degree
-        Of the basis.
+    degree, reach
+        Those of the basis; see `mesh.basis`.
     owned_start, owned_shape
         First own cell, and number of own cells, per axis (x, y, z).
     local_nodes, local_cells
@@ -106,9 +106,8 @@ class Grid:
             raise ValueError(f"{self.size} ranks cannot share {self.cells} cells with at least one each")
         self.blocks = blocks
         self.starts = self._divide()
-        self.degree = DEGREES[basis]
-        reach = REACH[self.degree]
-        self.nodes = Halo(comm, self.cells, self.starts, max(reach), reach)
+        self.degree, self.reach = BASES[basis].degree, BASES[basis].reach
+        self.nodes = Halo(comm, self.cells, self.starts, max(self.reach), self.reach)
         self.owned_start, self.owned_shape = self.nodes.owned_start, self.nodes.owned_shape
         self.local_nodes, self.layout = self.nodes.local_nodes, self.nodes.layout
         self.local_cells = int(np.prod(self.owned_shape))

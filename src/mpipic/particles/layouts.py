@@ -2,40 +2,192 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mpipic.arrays import FloatArray, IntArray
 from mpipic.draws import uniform
-from mpipic.mesh.grid import Grid
+from mpipic.keys import FROM_1, NOT_BELOW_0, ByScene, Count, CountOrZero, Keys, NotNegative, key
+from mpipic.parts import Broken, Choices, Part, Values, rule
+from mpipic.wording import show
 
-Layout = Callable[[Grid, Sequence[int], float, int, IntArray], FloatArray]
+if TYPE_CHECKING:
+    from mpipic.mesh.grid import Grid
 
-
-def _lattice(grid: Grid, per_cell: Sequence[int], jitter: float, seed: int, ids: IntArray) -> FloatArray:
-    """Return a cell-centred lattice: (j + 1/2) / per_cell cells along each axis, ids counting x fastest."""
-    points = [n * k for n, k in zip(grid.cells, per_cell, strict=True)]
-    index = np.unravel_index(ids, points[::-1])[::-1]
-    return np.stack([(j + 0.5) / k for j, k in zip(index, per_cell, strict=True)], axis=1)
-
-
-def _jittered(grid: Grid, per_cell: Sequence[int], jitter: float, seed: int, ids: IntArray) -> FloatArray:
-    """Return the lattice, every particle moved by up to `jitter` particle spacings along every axis."""
-    offset = (2.0 * uniform(seed, ids, grid.dim) - 1.0) * jitter / np.array(per_cell)
-    return _lattice(grid, per_cell, jitter, seed, ids) + offset
+PARTICLE_LIMIT = 2**53
+PER_AXIS = "a list of whole numbers, each 1 or above, one per axis, for example [2]"
+SEED = "a whole number from 0 to 2^63 - 1"
 
 
-def _random(grid: Grid, per_cell: Sequence[int], jitter: float, seed: int, ids: IntArray) -> FloatArray:
-    """Independent, uniform in the box."""
-    return uniform(seed, ids, grid.dim) * np.array(grid.cells)
+def _per_axis() -> Any:
+    default = ByScene("2 per axis", lambda v: (2,) * v.dim, ("grid.cells",))
+    return key(default, PER_AXIS, "particles per cell along each axis", per_axis=True)
 
 
-LAYOUTS: dict[str, Layout] = {"lattice": _lattice, "jittered": _jittered, "random": _random}
-"""Name to function (grid, per_cell, jitter, seed, ids) -> coordinates (n, d), in cells, of those ids."""
+class Layout(Part):
+    """Where particles start."""
+
+    slot = "particles.layout"
+
+    @rule("particles.per_cell", "grid.cells")
+    @staticmethod
+    def particles_can_be_counted(v: Values) -> Broken | None:
+        """Counts stay exact as floating-point numbers."""
+        if v.cell_count * math.prod(v["particles.per_cell"]) < PARTICLE_LIMIT:
+            return None
+        return "particles.per_cell", f"must give fewer than 2^53 particles in all, grid.cells = {show(v['grid.cells'])}"
+
+    @classmethod
+    def count(cls, v: Values) -> int | None:
+        """Return the number of particles; None where a file decides."""
+        return v.cell_count * math.prod(v["particles.per_cell"])
+
+    @classmethod
+    def describe(cls, v: Values) -> str:
+        """Return how many particles there are, and how they lie."""
+        return f"{cls.count(v):,} on a {cls.kind} layout, {' x '.join(map(str, v['particles.per_cell']))} per cell"
+
+    @staticmethod
+    def coordinates(grid: Grid, ids: IntArray, **settings: Any) -> FloatArray:
+        """Return the coordinates (n, d), in cells, of the particles with these consecutive ids. Local."""
+        raise NotImplementedError("particles from a file are read, not drawn")
+
+
+class Lattice(Layout):
+    """Cell-centred lattice: (j + 1/2) / per_cell cells along each axis, ids counting x fastest."""
+
+    kind = "lattice"
+    about = "a regular lattice, centred in the cells"
+    is_default = True
+
+    class Settings(Keys):
+        """Keys of the layout."""
+
+        per_cell: tuple[Count, ...] = _per_axis()
+
+    @staticmethod
+    def coordinates(grid: Grid, ids: IntArray, **settings: Any) -> FloatArray:
+        """Return points of the lattice. Local."""
+        per_cell = settings["per_cell"]
+        points = [n * k for n, k in zip(grid.cells, per_cell, strict=True)]
+        index = np.unravel_index(ids, points[::-1])[::-1]
+        return np.stack([(j + 0.5) / k for j, k in zip(index, per_cell, strict=True)], axis=1)
+
+
+class Jittered(Layout):
+    """The lattice, every particle moved by up to `jitter` particle spacings along every axis."""
+
+    kind = "jittered"
+    about = "the lattice, every particle moved at random"
+
+    class Settings(Keys):
+        """Keys of the layout."""
+
+        per_cell: tuple[Count, ...] = _per_axis()
+        jitter: NotNegative = key(0.0, NOT_BELOW_0, "largest displacement along each axis", unit="particle spacings")
+        seed: CountOrZero = key(0, SEED, "which random numbers; the same on any number of ranks")
+
+    @rule("particles.per_cell", "particles.jitter", "grid.cells")
+    @staticmethod
+    def jitter_stays_in_the_box(v: Values) -> Broken | None:
+        """No displacement is longer than the box."""
+        most = min(cells * count for cells, count in zip(v["grid.cells"], v["particles.per_cell"], strict=True))
+        if v["particles.jitter"] <= most:
+            return None
+        return "particles.jitter", f"must be at most {most} particle spacings, the width of the box"
+
+    @classmethod
+    def describe(cls, v: Values) -> str:
+        """Return how many particles there are, and how far they were moved."""
+        return f"{super().describe(v)}, moved by up to {v['particles.jitter']:g} spacings"
+
+    @staticmethod
+    def coordinates(grid: Grid, ids: IntArray, **settings: Any) -> FloatArray:
+        """Return points of the lattice, moved. Local."""
+        turned = 2.0 * uniform(settings["seed"], ids, grid.dim) - 1.0
+        offset = turned * settings["jitter"] / np.array(settings["per_cell"])
+        return Lattice.coordinates(grid, ids, per_cell=settings["per_cell"]) + offset
+
+
+class Random(Layout):
+    """Independent positions, uniform in the box."""
+
+    kind = "random"
+    about = "independent, uniform in the box"
+
+    class Settings(Keys):
+        """Keys of the layout."""
+
+        per_cell: tuple[Count] = key(
+            ByScene("4, in 1D 2", lambda v: (2,) if v.dim == 1 else (4,), ("grid.cells",)),
+            f"a list of exactly 1 entry, {FROM_1}, for example [4]",
+            "particles per cell on average",
+        )
+        seed: CountOrZero = key(0, SEED, "which random numbers; the same on any number of ranks")
+
+    @classmethod
+    def describe(cls, v: Values) -> str:
+        """Return how many particles there are."""
+        return f"{super().describe(v)} on average"
+
+    @staticmethod
+    def coordinates(grid: Grid, ids: IntArray, **settings: Any) -> FloatArray:
+        """Return independent positions. Local."""
+        return uniform(settings["seed"], ids, grid.dim) * np.array(grid.cells)
+
+
+class FromFile(Layout):
+    """Particles of an HDF5 file: position (n, d), and optional fields."""
+
+    kind = "file"
+    about = "from an HDF5 file: position (n, d), and density (n,), velocity (n, d) if there are any"
+    brings_in = ("h5py",)
+
+    class Settings(Keys):
+        """Keys of the layout."""
+
+        path: str = key(
+            "", "the name of a file", "HDF5 file; a relative name starts at the scene's folder", is_file=True
+        )
+
+    @rule("particles.path")
+    @staticmethod
+    def file_can_be_read(v: Values) -> Broken | None:
+        """What is in the file is for its reader to check."""
+        dotted, name = "particles.path", v["particles.path"]
+        if not name:
+            return dotted, 'must name an HDF5 file with particles.layout = "file"'
+        try:
+            name.encode("utf-8")  # else the resolved scene could not be written
+            path = Path(name)
+            if path.exists() and not path.is_file():
+                return dotted, "must name a file, not a folder or a device"
+            with path.open("rb"):
+                return None
+        except OSError as error:
+            return dotted, f"cannot be read: {error.strerror or error}"
+        except ValueError:
+            return dotted, "is not a usable file name"
+
+    @classmethod
+    def count(cls, v: Values) -> int | None:
+        """Return None: the file decides."""
+        return None
+
+    @classmethod
+    def describe(cls, v: Values) -> str:
+        """Return the file."""
+        return f"from {v['particles.path']}"
+
+
+LAYOUTS: Choices[Layout] = Choices(Layout)
+"""Kind to class."""
 
 
 def share(total: int, grid: Grid) -> IntArray:
-    """This rank's contiguous part of the ids 0 to total - 1. Local."""
+    """Return this rank's contiguous part of the ids 0 to total - 1. Local."""
     edges = [total * r // grid.size for r in (grid.rank, grid.rank + 1)]
     return np.arange(*edges, dtype=np.int64)

@@ -9,19 +9,25 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mpipic.arrays import FloatArray, Shape
-from mpipic.mesh.grid import Grid
-from mpipic.particles.store import Particles
+from mpipic.parts import Choices, Part
+
+if TYPE_CHECKING:
+    from mpipic.mesh.grid import Grid
+    from mpipic.particles.store import Particles
 
 Fields = Mapping[str, FloatArray]
 """Name to values of particles or points, (n, *shape)."""
 
 
-class Physics(ABC):
+class Physics(Part, ABC):
     """Equations of motion of particles that carry named fields.
+
+    One that scenes can name has a `kind`, and says of a scene's values what a part says.
 
     Attributes
     ----------
@@ -37,6 +43,7 @@ class Physics(ABC):
         What it runs on, once it has taken its `place`.
     """
 
+    slot = "physics.kind"
     watched: str
     symbols: Mapping[str, str] = {}
     compared: tuple[str, ...] = ()
@@ -117,3 +124,7 @@ class Physics(ABC):
     def facts(self) -> Mapping[str, int]:
         """Return counts that a summary tells, such as how often particles were sorted. Local."""
         return {}
+
+
+KINDS: Choices[Physics] = Choices(Physics)
+"""Kind to class."""

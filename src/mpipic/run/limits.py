@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 from mpi4py import MPI
 
 from mpipic.errors import NotConverged
+from mpipic.physics.acoustics.integrators import INTEGRATORS
+from mpipic.physics.acoustics.slopes import GRADIENTS
 from mpipic.physics.acoustics.step import AcousticStep
 from mpipic.run.build import build_sweep, place, step_on
 
 if TYPE_CHECKING:
     from mpipic.scene.records import Scene
 
-REACHES = {"symplectic": 2.0, "rk4": 2.0 * np.sqrt(2.0)}
-"""Integrator to the largest frequency times dt on the imaginary axis that it is stable for; midpoint has none."""
 SAMPLE = {1: 48, 2: 12, 3: 6}
 """Dimension to the cells per axis of the piece of the scene that is looked at."""
 PLACES = {1: 16, 2: 6, 3: 2}
@@ -37,7 +38,8 @@ def cfl_limit(scene: Scene, comm: MPI.Comm) -> float | None:
 
 
 def _on_one_rank(scene: Scene) -> float | None:
-    if scene.time.integrator not in REACHES or scene.particles.layout == "file":
+    reach = INTEGRATORS[scene.time.integrator].reach
+    if math.isinf(reach) or scene.particle_count is None:
         return None
     piece = _piece(scene)
     try:
@@ -46,7 +48,7 @@ def _on_one_rank(scene: Scene) -> float | None:
         return None
     if not frequency > 0.0:
         return None
-    return REACHES[scene.time.integrator] * scene.gas.sound_speed / (frequency * min(scene.h))
+    return reach * scene.gas.sound_speed / (frequency * min(scene.h))
 
 
 def _piece(scene: Scene) -> Scene:
@@ -58,9 +60,10 @@ def _piece(scene: Scene) -> Scene:
     data["initial"] = {"profile": "plane-wave", "wave": [1, *[0] * (scene.dim - 1)]}
     data["output"] = {}
     if data["filter"]["kind"] == "svd":
-        data["filter"]["kind"] = "exact"
-    if data["filter"]["kind"] == "exact" or scene.mapping.mass != "lumped":
-        data["filter"]["tolerance"] = max(scene.filter.tolerance, DIGITS)
+        data["filter"] = {"kind": "exact", "tolerance": DIGITS}
+    for section in ("filter", "mapping"):
+        if "tolerance" in data[section]:
+            data[section]["tolerance"] = max(data[section]["tolerance"], DIGITS)
     data["time"]["steps"] = 0
     return scene.from_dict(data, name=scene.name)
 
@@ -70,7 +73,7 @@ def _largest_frequency(scene: Scene) -> float:
     grid, particles = place(scene, MPI.COMM_SELF)
     carrier = build_sweep(scene, grid, particles)
     rates = step_on(scene, carrier)
-    shifting = scene.mapping.gradient == "skew" and carrier.moving
+    shifting = GRADIENTS[scene.mapping.gradient].transposed and carrier.moving
     places = PLACES[scene.dim] if shifting else 1
     squares = 0.0
     for _ in range(places):

@@ -17,6 +17,7 @@ from mpipic.phases import Phases
 from mpipic.physics.base import Physics
 from mpipic.run.build import begin, check_filter, physics_of, place
 from mpipic.run.diagnostics import ErrorReport, measure
+from mpipic.run.ranks import check_ranks
 
 if TYPE_CHECKING:
     from mpipic.scene.records import Scene
@@ -87,7 +88,7 @@ class Simulation:
         self.scene, self.comm = scene, comm
         self.phases = phases or Phases()
         self.phases("setup")
-        scene.check_ranks(comm.size)
+        check_ranks(scene, comm.size)
         self.physics = physics or physics_of(scene)
         self.grid, self.particles = place(scene, comm, self.physics)
         self.total = comm.allreduce(self.particles.count)

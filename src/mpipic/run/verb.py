@@ -17,6 +17,7 @@ from mpipic.run.diagnostics import ErrorReport
 from mpipic.run.facts import STEP_PHASES, versions
 from mpipic.run.limits import cfl_limit
 from mpipic.run.loop import Outcome, Simulation
+from mpipic.run.ranks import check_ranks
 from mpipic.run.warmup import compile_loops
 from mpipic.runtime import StopRequest
 
@@ -94,7 +95,7 @@ def run(scene: Scene, comm: MPI.Comm, output: Path | None, overwrite: bool, cons
     """
     began = perf_counter()
     phases = Phases()
-    scene.check_ranks(comm.size)
+    check_ranks(scene, comm.size)
     phases("compile")
     compile_loops(scene)
     simulation = Simulation(scene, comm, phases)
@@ -147,7 +148,7 @@ def _take_steps(
 def banner(simulation: Simulation, path: Path, limit: float | None = None) -> list[tuple[str, str]]:
     """Return what is about to run, as (name, value) lines; `limit` is the scheme's CFL limit where it is known."""
     scene, grid = simulation.scene, simulation.grid
-    built, left_out = describe.parts(scene)
+    built = dict(describe.built(scene))
     ranks = f"{grid.size}, as {' x '.join(map(str, grid.blocks))} blocks" if grid.size > 1 else "1"
     per_cell = simulation.total / grid.node_count
     bound = "" if limit is None else f" (limit {limit:.3g})"
@@ -156,14 +157,14 @@ def banner(simulation: Simulation, path: Path, limit: float | None = None) -> li
     )
     return [
         ("scene", scene.name),
-        ("grid", dict(built)["grid"]),
+        ("grid", built["grid"]),
         ("particles", f"{simulation.total:,}, {per_cell:.3g} a cell, layout {scene.particles.layout}"),
         ("ranks", ranks),
-        ("mapping", dict(built)["mapping"]),
-        ("filter", dict(built)["filter"]),
-        ("step", dict(built)["step"]),
+        ("mapping", built["mapping"]),
+        ("filter", built["filter"]),
+        ("step", built["step"]),
         ("steps", f"{scene.time.steps} of dt = {scene.dt:.6g}: {courant}"),
-        ("left out", ", ".join(left_out)),
+        ("left out", ", ".join(describe.left_out(scene))),
         ("output", str(path)),
     ]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
 def compile_loops(scene: Scene) -> None:
     """Take one step of the scene's kind with a few particles on a small grid, so that every loop is compiled. Local."""
     dim = scene.dim
-    small = replace(scene, grid=scene.grid.model_copy(update={"cells": (2,) * dim, "length": (1.0,) * dim}))
+    small = scene.having(grid={"cells": (2,) * dim, "length": (1.0,) * dim})
     physics = physics_of(small)
     grid = Grid(small.grid.cells, small.grid.length, MPI.COMM_SELF, scene.mapping.basis)
     particles = Particles(grid.h, physics.fields(dim))

@@ -1,24 +1,19 @@
-"""Scene files as text: problems and their wording, reading and writing TOML, command-line overrides.
-
-Nothing here knows what a scene contains; `scene_checks` holds the rules and `scene` the records.
-"""
+"""Scene files as text: problems and their wording, reading and writing TOML, command-line overrides."""
 
 from __future__ import annotations
 
-import json
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from typing import Any
 
-from mpipic.errors import Refused
+import tomli_w
 
-LONGEST_SHOWN = 80
-DEEPEST_SHOWN = 3
-# Two ways of saying one thing: an override of one replaces the other that the file gave.
-ALTERNATIVES = {"time.dt": "time.cfl", "time.cfl": "time.dt"}
+from mpipic.errors import Refused
+from mpipic.parts import alternatives
+from mpipic.wording import escape, shorten, show
+
 _PLACE = re.compile(r"(?P<what>.*) \(at (?:line (?P<line>\d+), column (?P<column>\d+)|end of document)\)", re.DOTALL)
 _LONG_NUMBER = re.compile(r"\d[\d_]{1000,}")
 
@@ -54,6 +49,19 @@ class Problem:
         return text if self.suggestion is None else f'{text}. Did you mean "{escape(self.suggestion)}"?'
 
 
+@dataclass(frozen=True)
+class Unused:
+    """A key that a scene gives and that nothing in it uses; `str()` is the sentence shown to the user."""
+
+    key: str
+    value: object
+    why: str
+
+    def __str__(self) -> str:
+        """Key, value and reason on one line."""
+        return f"{self.key} = {show(self.value)} is not used: {self.why}"
+
+
 class SceneError(Refused):
     """A scene that cannot be used. `problems` holds everything found; `str()` gives them all, one per line.
 
@@ -68,45 +76,6 @@ class SceneError(Refused):
     def __str__(self) -> str:
         """Return every problem, one per line."""
         return "\n".join(str(problem) for problem in self.problems)
-
-
-def escape(text: str) -> str:
-    """Return `text` with everything that a terminal would not print plainly written as a backslash escape."""
-    return "".join(ch if ch.isprintable() else ch.encode("unicode_escape").decode("ascii") for ch in text)
-
-
-def show(value: object, depth: int = 0) -> str:
-    """Return `value` as a scene file would hold it, escaped and shortened for a message."""
-    if isinstance(value, bool):
-        text = str(value).lower()
-    elif isinstance(value, int) and value.bit_length() > 128:
-        text = f"a whole number of {value.bit_length()} bits"
-    elif isinstance(value, str):
-        text = '"' + escape(_shorten(value).replace("\\", "\\\\").replace('"', '\\"')) + '"'
-    elif isinstance(value, (list, tuple, dict)) and depth >= DEEPEST_SHOWN:
-        text = "..."
-    elif isinstance(value, (list, tuple)):
-        text = "[" + ", ".join(show(item, depth + 1) for item in value[:LONGEST_SHOWN]) + "]"
-    elif isinstance(value, dict):
-        items = list(value.items())[:LONGEST_SHOWN]
-        text = "{" + ", ".join(f"{show_key(str(key))} = {show(item, depth + 1)}" for key, item in items) + "}"
-    else:
-        text = escape(str(value))
-    return _shorten(text, 2 * LONGEST_SHOWN)
-
-
-def show_key(*parts: str) -> str:
-    """Return a dotted key, quoting the parts that TOML would quote."""
-    return ".".join(part if re.fullmatch(r"[A-Za-z0-9_-]+", part) else show(part) for part in parts)
-
-
-def closest(word: object, names: Sequence[str]) -> str | None:
-    """Return the name most like `word`, or None when nothing is close. Case and ``_``/``-`` do not count."""
-    if not isinstance(word, str):
-        return None
-    plain = {name.lower().replace("_", "-"): name for name in reversed(names)}
-    found = get_close_matches(word[:LONGEST_SHOWN].lower().strip().replace("_", "-"), list(plain), n=1)
-    return plain[found[0]] if found else None
 
 
 def parse_toml(text: str, source: str) -> dict[str, Any]:
@@ -132,8 +101,8 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
 def apply_overrides(data: Mapping[str, Any], overrides: Sequence[str], problems: list[Problem]) -> dict[str, Any]:
     """Return a copy of `data` with every ``section.key=value`` of `overrides` set; the last one wins.
 
-    A value is read as TOML; a bare word that is not TOML is a string. Setting one of two alternatives (``time.dt``,
-    ``time.cfl``) takes the other out of `data`. Overrides that cannot be read are added to `problems`.
+    A value is read as TOML; a bare word that is not TOML is a string. Setting one of several ways of saying one thing
+    (``time.dt``, ``time.cfl``) takes the others out of `data`. Overrides that cannot be read are added to `problems`.
     """
     result = {section: dict(table) if isinstance(table, Mapping) else table for section, table in data.items()}
     changes: dict[str, Any] = {}
@@ -148,9 +117,9 @@ def apply_overrides(data: Mapping[str, Any], overrides: Sequence[str], problems:
         table = result.setdefault(section, {})
         if isinstance(table, dict):
             table[key] = value
-            other = ALTERNATIVES.get(name)
-            if other and other not in changes:
-                table.pop(other.split(".")[1], None)
+            for other in alternatives(name):
+                if other not in changes:
+                    table.pop(other.split(".")[1], None)
     return result
 
 
@@ -163,17 +132,16 @@ def write_toml(data: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def _literal(value: object) -> str:
+    """Return a value as TOML, lists on one line, which the library would spread over many."""
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(_literal(item) for item in value) + "]"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    return repr(value)
+    return tomli_w.dumps({"value": value}).removeprefix("value = ").rstrip("\n")
 
 
 def _parse_override(text: str) -> tuple[str, Any] | Problem:
     name, equals, value_text = text.partition("=")
     parts = [part.strip() for part in name.split(".")]
-    shown = f"--set {escape(_shorten(text))}"
+    shown = f"--set {escape(shorten(text))}"
     if not equals or len(parts) != 2 or not all(re.fullmatch(r"[A-Za-z0-9_-]+", part) for part in parts):
         return Problem(shown, None, "must have the form section.key=value, for example filter.kind=none")
     word = value_text.strip()
@@ -211,7 +179,3 @@ def _syntax_rule(message: str, text: str) -> str:
 def _position(text: str, offset: int) -> str:
     before = text[:offset]
     return f" at line {before.count(chr(10)) + 1}, column {offset - before.rfind(chr(10))}"
-
-
-def _shorten(text: str, longest: int = LONGEST_SHOWN) -> str:
-    return text if len(text) <= longest else text[: longest - 3] + "..."

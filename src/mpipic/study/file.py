@@ -39,8 +39,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from mpipic.files import Unreadable, read_text
 from mpipic.scene.records import Problem, Scene, SceneError
-from mpipic.scene.text import closest, escape, parse_toml, show, show_key
+from mpipic.scene.text import parse_toml
 from mpipic.study.points import NOTHING, RANKS, SCHEME, Axis, Choice, Point, Values, expand
+from mpipic.wording import closest, escape, show, show_key
 
 QUANTITIES, NORMS = ("density", "velocity"), ("l1", "l2", "linf")
 ERRORS = tuple(f"{quantity}.{norm}" for quantity in QUANTITIES for norm in NORMS)

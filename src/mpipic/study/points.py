@@ -9,8 +9,11 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import mpipic.run.parts  # noqa: F401  all that scenes can name
+from mpipic.parts import alternatives
+from mpipic.run.ranks import check_ranks
 from mpipic.scene.records import Problem, Scene, SceneError
-from mpipic.scene.text import ALTERNATIVES, show
+from mpipic.wording import show
 
 RESOLUTION = ("grid.cells", "particles.per_cell", "time.cfl", "time.dt")
 """Keys that refine a scheme instead of making another one of it."""
@@ -157,9 +160,9 @@ def _scene(data: Sections, base: Values, settings: Values, until: float) -> Scen
         for key, value in layer.items():
             section, name = key.split(".")
             merged.setdefault(section, {})[name] = value
-            other = ALTERNATIVES.get(key)
-            if other and other not in layer:
-                merged[section].pop(other.split(".")[1], None)
+            for other in alternatives(key):
+                if other not in layer:
+                    merged[section].pop(other.split(".")[1], None)
     merged["time"] = {**merged.get("time", {}), "steps": 1}
     wanted = Scene.from_dict(merged)
     if until / wanted.dt > MOST_STEPS:
@@ -174,7 +177,7 @@ def _check(scene: Scene, ranks: object) -> int:
     """Return the number of ranks; raise SceneError if it is none, or the scene cannot be run on it or in a study."""
     if isinstance(ranks, bool) or not isinstance(ranks, int) or ranks < 1:
         raise SceneError([Problem(RANKS, ranks, "must be a whole number, 1 or above")])
-    scene.check_ranks(ranks)
+    check_ranks(scene, ranks)
     if scene.initial.profile == "file":
         raise SceneError([Problem("initial.profile", "file", "has no exact solution to compare with")])
     return ranks

@@ -12,11 +12,11 @@ from pathlib import Path
 from mpipic.files import write_csv
 from mpipic.plots.work_precision import Mark
 from mpipic.scene.records import Scene
-from mpipic.scene.text import show
 from mpipic.study.file import NORMS, QUANTITIES, Study
 from mpipic.study.journal import COMPLETED, UNSTABLE, Errors, Machine, Record
 from mpipic.study.pareto import Fit, fit_order, front
 from mpipic.study.points import Axis, Point
+from mpipic.wording import show
 
 CSV, JSON = "study.csv", "study.json"
 NOT_RUN = "not run"
@@ -82,7 +82,7 @@ class Row:
         """Stepping seconds of all steps, at the pace of those that were taken before a blow-up."""
         if self.seconds is None or not self.steps:
             return None
-        return self.seconds.median * self.point.scene.time.steps / self.steps
+        return float(self.seconds.median * self.point.scene.time.steps / self.steps)
 
 
 def row_of(point: Point, runs: Sequence[Record], norm: str) -> Row:
@@ -141,10 +141,10 @@ class Order:
 def floor(scene: Scene, steps: int) -> float:
     """Return an estimate of the error that no scheme gets below: rounding that adds up over steps, and the solver's.
 
-    2.2e-16 steps + filter.tolerance where a solver is used, for solutions of size 1, as the profiles are.
+    2.2e-16 steps + the tolerances of its solvers, for solutions of size 1, as the profiles are.
     """
-    solves = scene.filter.kind == "exact" or scene.mapping.mass != "lumped"
-    return sys.float_info.epsilon * steps + (scene.filter.tolerance if solves else 0.0)
+    solvers = sum(float(value) for key, value in scene.values.items() if key.endswith(".tolerance"))
+    return sys.float_info.epsilon * steps + solvers
 
 
 def orders(rows: Sequence[Row]) -> list[Order]:

@@ -27,7 +27,6 @@ import psutil
 from mpipic.files import Unreadable, json_object, read_text, write_text
 from mpipic.io.run_directory import SUMMARY
 from mpipic.runtime import RANKS, without_launcher
-from mpipic.scene.text import escape
 from mpipic.study.journal import (
     COMPLETED,
     CRASHED,
@@ -41,6 +40,7 @@ from mpipic.study.journal import (
     Told,
 )
 from mpipic.study.points import Point
+from mpipic.wording import escape
 
 STATUS_OF_CODE = {0: COMPLETED, 2: REFUSED, 3: UNSTABLE, 4: NOT_CONVERGED}
 SCENES = "scenes"

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from mpipic.arrays import FloatArray
 from mpipic.mapping.mass import Field, Gain
+from mpipic.parts import NODAL_GRADIENTS, SOLVED_FILTER, Choices, Part, Values
 
 if TYPE_CHECKING:
     from mpipic.mesh.grid import Grid
@@ -80,20 +82,58 @@ class Rates(ABC):
         """Return the field (rows, 1) of these numbers, ghosts and all. Collective."""
 
 
-class Integrator(Protocol):
-    """Takes a state from t to t + dt."""
+class Integrator(Part, ABC):
+    """Takes a state from t to t + dt.
 
-    looks_once: bool
-    """Whether it looks at every gain once, before the next is made."""
+    Attributes
+    ----------
+    looks_once
+        Whether it looks at every gain once, before the next is made.
+    stages
+        At how many states gains are found.
+    name
+        What `mpipic check` calls it.
+    reach
+        The largest frequency times dt on the imaginary axis that it is stable for.
+    """
 
+    slot = "time.integrator"
+    physics = "acoustics"
+    looks_once: ClassVar[bool] = False
+    stages: ClassVar[int] = 1
+    name: ClassVar[str]
+    reach: ClassVar[float]
+
+    @classmethod
+    def create(cls, symmetric: bool, **settings: Any) -> Integrator:
+        """Return the integrator; `symmetric`: both rates together are symmetric, see `Midpoint`. Local."""
+        return cls(**settings)
+
+    @classmethod
+    def describe(cls, v: Values) -> str:
+        """Return the name."""
+        return cls.name
+
+    @classmethod
+    def node_doubles(cls, v: Values) -> int:
+        """Return the gains of all stages, and where the filter solves for them, two earlier answers of each."""
+        kept = 2 * cls.stages * (1 + v.dim) if cls.stages > 1 else 0
+        solved = v.has(SOLVED_FILTER) and not v.has(NODAL_GRADIENTS)
+        return kept + (2 * cls.stages * (1 + v.dim) if solved else 0)
+
+    @abstractmethod
     def __call__(self, rates: Rates, state: State, dt: float) -> Step:
         """Return one step. Collective."""
-        ...
 
 
-class Symplectic:
+class Symplectic(Integrator):
     """Symplectic Euler (Formulation 2): ρ from u at t, then u from ρ at t + dt."""
 
+    kind = "symplectic"
+    about = "symplectic Euler: Formulation 2 of the paper, of first order"
+    is_default = True
+    name = "symplectic Euler"
+    reach = 2.0
     looks_once = True
 
     def __call__(self, rates: Rates, state: State, dt: float) -> Step:
@@ -109,10 +149,14 @@ class Symplectic:
         )
 
 
-class RungeKutta4:
+class RungeKutta4(Integrator):
     """The classical Runge-Kutta method of order 4; stable while the largest frequency times dt is below 2.8."""
 
-    looks_once = False
+    kind = "rk4"
+    about = "Runge-Kutta of order 4"
+    name = "Runge-Kutta of order 4"
+    reach = 2.0 * math.sqrt(2.0)
+    stages = 4
     NODES = (0.0, 0.5, 0.5, 1.0)
     WEIGHTS = (1.0, 2.0, 2.0, 1.0)
 
@@ -151,5 +195,5 @@ def _sum_of(weights: tuple[float, ...], gains: tuple[Gain, ...]) -> Gain:
     return Gain(total, gains[0].spanned, gains[0].map_to_nodes, f"{gains[0].name} in all")
 
 
-INTEGRATORS: dict[str, type[Symplectic] | type[RungeKutta4]] = {"symplectic": Symplectic, "rk4": RungeKutta4}
-"""Name to class; `midpoint` joins them from its own module."""
+INTEGRATORS: Choices[Integrator] = Choices(Integrator)
+"""Kind to class; `midpoint` joins them from its own module."""

@@ -8,12 +8,18 @@ With the velocity eliminated, the density at mid-step solves (1 - (dt/2)² R U) 
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 from mpipic.arrays import FloatArray
-from mpipic.mesh.shell_solver import ShellSolver
-from mpipic.physics.acoustics.integrators import Change, Rates, State, Step
+from mpipic.keys import IN_0_1, Keys, Share, key
+from mpipic.physics.acoustics.integrators import Change, Integrator, Rates, State, Step
+
+LEAST_TOLERANCE = 1e-14
+"""No residual is computed more closely than that."""
 
 
-class Midpoint:
+class Midpoint(Integrator):
     """The integrator; keeps its solver, and takes the density at the beginning of a step as the first guess.
 
     Parameters
@@ -33,9 +39,25 @@ class Midpoint:
     Collective. The number of iterations grows with c dt / h. An iteration applies R and U once.
     """
 
-    looks_once = False
+    kind = "midpoint"
+    about = "implicit midpoint rule, for time steps far above the limit of sound"
+    name = "implicit midpoint rule"
+    brings_in = ("linear solvers",)
+    reach = math.inf
+
+    class Settings(Keys):
+        """Keys of the integrator."""
+
+        tolerance: Share = key(1e-10, IN_0_1, "relative residual of the solve")
+
+    @classmethod
+    def create(cls, symmetric: bool, **settings: Any) -> Midpoint:
+        """Return the integrator. Local."""
+        return cls(max(settings["tolerance"], LEAST_TOLERANCE), symmetric)
 
     def __init__(self, tolerance: float, symmetric: bool) -> None:
+        from mpipic.mesh.shell_solver import ShellSolver
+
         self.solver = ShellSolver("midpoint_", "the implicit midpoint rule", tolerance, symmetric)
 
     def __call__(self, rates: Rates, state: State, dt: float) -> Step:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from mpipic.arrays import FloatArray, Shape
+from mpipic.parts import A_FILTER, NODAL_FILTER, Values
+from mpipic.physics.acoustics.damping import Damping
 from mpipic.physics.acoustics.gas import Gas
 from mpipic.physics.base import Fields, Physics
 
@@ -57,6 +59,12 @@ Compose = Callable[["Grid", "Particles", Callable[[str], None]], Stepper]
 """Builds the step for these particles. Collective."""
 
 
+def _is_formulation_2(v: Values) -> bool:
+    """Whether the scheme is that of the paper."""
+    names = (v["mapping.mass"], v["mapping.gradient"], v["time.integrator"])
+    return names == ("lumped", "direct", "symplectic")
+
+
 class Acoustics(Physics):
     """Dρ/Dt = -ρ₀ ∇·u, Du/Dt = -(c²/ρ₀) ∇ρ, Dx/Dt = v.
 
@@ -69,10 +77,37 @@ class Acoustics(Physics):
         Builds the step once there are particles.
     """
 
+    kind = "acoustics"
+    about = "linearised gas dynamics about a uniform flow"
+    is_default = True
     watched = "density"
     symbols: Mapping[str, str] = {"density": "ρ", "velocity": "u"}
     compared = ("density", "velocity")
     shares = ("null_space_fraction",)
+
+    @classmethod
+    def signal_speed_of(cls, v: Values) -> float:
+        """Return c."""
+        return float(v["gas.sound_speed"])
+
+    @classmethod
+    def particle_doubles(cls, v: Values) -> int:
+        """Return density and velocity."""
+        return 1 + v.dim
+
+    @classmethod
+    def node_doubles(cls, v: Values) -> int:
+        """Return sums of both fields, row sums and their inverses, increments, and both fields on the way."""
+        return (v.dim + 2) + 1 + 2 * (1 + v.dim)
+
+    @classmethod
+    def describe(cls, v: Values) -> str:
+        """Return the step: integrator, gradient and damping."""
+        integrator, gradient = v.part("time.integrator"), v.part("mapping.gradient")
+        if _is_formulation_2(v):
+            passes = "one pass" if v.has(NODAL_FILTER) or not v.has(A_FILTER) else "nine passes"
+            return f"Formulation 2 (symplectic Euler), {passes} over the particles a step"
+        return f"{integrator.describe(v)}, {gradient.describe(v)}{Damping.describe(v)}"
 
     def __init__(self, gas: Gas, solution: Solution | None, compose: Compose) -> None:
         self.gas, self.solution, self._compose = gas, solution, compose

@@ -8,7 +8,7 @@ In the moving frame ξ = x - vt every mode of f keeps its shape and swings at th
 
     ρ = cos(k·ξ) cos(c|k|t),    u = (k/|k|) (c/ρ₀) sin(k·ξ) sin(c|k|t).
 
-A profile is a class in `PROFILES`; an object of it is called with (x, t), and t = 0 gives the initial data. Any
+A profile is a part, a class in `PROFILES`; an object of it is called with (x, t), and t = 0 gives the initial data. Any
 consistent set of units serves. Everything here is local: each rank evaluates its own particles.
 """
 
@@ -16,28 +16,87 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
-from fractions import Fraction
-from functools import reduce
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mpipic.arrays import FloatArray
+from mpipic.keys import ABOVE_0, ByScene, Finite, Keys, Positive, is_normal, key
+from mpipic.parts import Broken, Choices, Part, Values, rule
+from mpipic.physics.acoustics.cosines import (
+    CHUNK,
+    EXPONENT,
+    CosineSeries,
+    Fields,
+    chunks,
+    gaussian_waves,
+    periodic_gaussian,
+    prepare,
+    remainder,
+    total_of,
+    wave_count,
+    wrap,
+)
 from mpipic.physics.acoustics.gas import Gas
+from mpipic.wording import show
 
-Fields = tuple[FloatArray, FloatArray]  # density (n,) and velocity (n, d)
-
-# Terms below exp(-EXPONENT), about 1e-17, of the largest value are dropped.
-EXPONENT = 39.0
-# Doubles in one temporary array: 4 MB, so that a chunk and the weights stay far below 100 MB together.
-CHUNK = 1 << 19
 # Waves per axis that the series of a Gaussian may have, by dimension; each point costs their product.
 MOST_WAVES = {2: 8192, 3: 512}
 
+WAVE = "a list of whole numbers, periods per axis, for example [1]"
 
-class Solution(ABC):
-    """An exact solution; every profile takes the same keywords and ignores those that its formula does not name.
+
+def _center() -> Any:
+    default = ByScene("middle of the box", lambda v: tuple(x / 2 for x in v["grid.length"]), ("grid.length",))
+    rule = "a list of finite numbers, one per axis, for example [0.5]"
+    return key(default, rule, "where the pulse is largest", unit="length", per_axis=True)
+
+
+def _sharpness() -> Any:
+    return key(60.0, ABOVE_0, "exp(-sharpness distance^2), summed over periodic images", unit="1 / length^2")
+
+
+def _direction() -> Any:
+    default = ByScene("1 along x, 0 along the others", lambda v: (1, 0, 0)[: v.dim], ("grid.cells",))
+    return key(default, WAVE, "direction: whole periods along each axis", per_axis=True)
+
+
+class Profile(Part):
+    """What a run starts from."""
+
+    slot = "initial.profile"
+    physics = "acoustics"
+
+    @rule("initial.center", "grid.length")
+    @staticmethod
+    def center_is_in_the_box(v: Values) -> Broken | None:
+        """A point outside is far more often a forgotten center than a periodic image."""
+        lengths = v["grid.length"]
+        if all(0 <= x <= length for x, length in zip(v["initial.center"], lengths, strict=True)):
+            return None
+        return "initial.center", f"must lie in the box, from 0 to grid.length = {show(lengths)} on every axis"
+
+    @rule("initial.sharpness", "grid.length")
+    @staticmethod
+    def sharpness_is_a_number(v: Values) -> Broken | None:
+        """The exponent across the box, sharpness length², is an ordinary number."""
+        if is_normal(*(v["initial.sharpness"] * length * length for length in v["grid.length"])):
+            return None
+        return "initial.sharpness", "is out of the range of floating point: sharpness length^2 overflows or vanishes"
+
+    @rule("initial.wave")
+    @staticmethod
+    def wave_has_a_direction(v: Values) -> Broken | None:
+        """Without a period on any axis there is no wave."""
+        if any(v["initial.wave"]):
+            return None
+        return "initial.wave", f"must not be zero on every axis with initial.profile = {show(v['initial.profile'])}"
+
+
+class Solution(Profile, ABC):
+    """An exact solution; a profile uses those of the keywords that its formula names, the keys of its `Settings`.
 
     Parameters
     ----------
@@ -55,8 +114,21 @@ class Solution(ABC):
         An entry that the profile uses is missing or out of range.
     """
 
+    brings_in = ("exact solution and errors", "linear solvers")
+
+    @classmethod
+    def brings(cls, v: Values) -> tuple[str, ...]:
+        """Return the solution, and for reports the solver that finds what no node sees."""
+        return cls.brings_in if v["output.report_at"] else cls.brings_in[:1]
+
     def __init__(
-        self, *, length: Sequence[float], gas: Gas, center: Sequence[float], sharpness: float, wave: Sequence[int]
+        self,
+        *,
+        length: Sequence[float],
+        gas: Gas,
+        center: Sequence[float] = (),
+        sharpness: float = math.nan,
+        wave: Sequence[int] = (),
     ) -> None:
         self.length = tuple(map(float, length))
         self.gas = gas
@@ -85,6 +157,68 @@ class Solution(ABC):
         velocity : (n, d), velocity
             Perturbation u, exactly zero at t = 0.
         """
+
+
+class Gaussian(Solution):
+    """A Gaussian about a point: f(x) = Σ over periodic images of exp(-sharpness |x - center|²), largest at `center`.
+
+    In 1D two pulses travel apart (`PlaneGaussian` with wave 1). In 2D and 3D, where a ring or shell spreads, f is a
+    product of 1D Gaussians, hence of cosine series, whose modes `CosineSeries` moves; at t = 0 the product serves.
+
+    Raises
+    ------
+    ValueError
+        sharpness is not positive, or so large that an axis needs more than 8192 waves in 2D, 512 in 3D.
+
+    Notes
+    -----
+    Accurate to 1e-12 of the largest initial value (velocity: times c/ρ₀). Waves per axis: about 2 L_a √sharpness.
+    """
+
+    kind = "gaussian"
+    about = "a round pulse"
+    is_default = True
+
+    class Settings(Keys):
+        """Keys of the profile."""
+
+        center: tuple[Finite, ...] = _center()
+        sharpness: Positive = _sharpness()
+
+    @classmethod
+    def describe(cls, v: Values) -> str:
+        """Return place and width."""
+        return f"gaussian at {list(v['initial.center'])}, sharpness {v['initial.sharpness']:g}"
+
+    def _set_up(self) -> None:
+        d = len(self.length)
+        self.origin = _per_axis("center", self.center, d)
+        self.exponents = [_positive(self.sharpness) * box**2 for box in self.length]
+        self.moving: PlaneGaussian | CosineSeries
+        if d == 1:
+            box, gas, center = self.length, self.gas, self.origin
+            self.moving = PlaneGaussian(length=box, gas=gas, center=center, sharpness=self.sharpness, wave=(1,))
+            return
+        most = max(map(wave_count, self.exponents))
+        if most > MOST_WAVES[d]:
+            allowed = (math.pi * MOST_WAVES[d] / max(self.length)) ** 2 / EXPONENT
+            raise ValueError(
+                f"sharpness = {self.sharpness:g} needs {most} waves on an axis; the limit in {d}D is {MOST_WAVES[d]}: "
+                f"this box allows sharpness up to {allowed:.3g}"
+            )
+        waves, amplitudes = zip(*map(gaussian_waves, self.exponents))
+        self.moving = CosineSeries(self.length, self.gas, self.origin, waves, amplitudes)
+
+    def __call__(self, x: ArrayLike, t: float) -> Fields:
+        """Evaluate at positions x (n, d) and time t, as `Solution` describes."""
+        if t != 0.0 or len(self.length) == 1:
+            return self.moving(x, t)
+        x, density, velocity = prepare(x, len(self.length))
+        for rows in chunks(len(x), CHUNK // 8):
+            density[rows] = 1.0
+            for a, (origin, box, exponent) in enumerate(zip(self.origin, self.length, self.exponents)):
+                density[rows] *= periodic_gaussian(wrap((x[rows, a] - origin) / box), exponent)
+        return density, velocity
 
 
 class Plane(Solution):
@@ -119,14 +253,14 @@ class Plane(Solution):
 
     def __call__(self, x: ArrayLike, t: float) -> Fields:
         """Evaluate at positions x (n, d) and time t, as `Solution` describes."""
-        x, density, velocity = _prepare(x, len(self.length))
-        travelled = _remainder(0.0, self.gas.sound_speed, t, self.wavelength) / self.wavelength
-        origin = [_remainder(o, v, t, box) for o, v, box in zip(self.origin, self.gas.flow, self.length)]
+        x, density, velocity = prepare(x, len(self.length))
+        travelled = remainder(0.0, self.gas.sound_speed, t, self.wavelength) / self.wavelength
+        origin = [remainder(o, v, t, box) for o, v, box in zip(self.origin, self.gas.flow, self.length)]
         speed = 0.5 * self.gas.sound_speed / self.gas.density * self.direction
-        for rows in _chunks(len(x), CHUNK // 8):
-            s = _total([w * ((x[rows, a] - origin[a]) / self.length[a]) for a, w in enumerate(self.periods) if w])
-            forward = self.shape(_wrap(s - travelled))
-            backward = self.shape(_wrap(s + travelled))
+        for rows in chunks(len(x), CHUNK // 8):
+            s = total_of([w * ((x[rows, a] - origin[a]) / self.length[a]) for a, w in enumerate(self.periods) if w])
+            forward = self.shape(wrap(s - travelled))
+            backward = self.shape(wrap(s + travelled))
             density[rows] = 0.5 * (forward + backward)
             np.multiply.outer(forward - backward, speed, out=velocity[rows])
         return density, velocity
@@ -134,6 +268,21 @@ class Plane(Solution):
 
 class PlaneGaussian(Plane):
     """A Gaussian of the distance from a plane: f(s) = Σ_m exp(-sharpness (s - mλ)²), moved by `Plane`."""
+
+    kind = "plane-gaussian"
+    about = "a Gaussian of the distance from a plane"
+
+    class Settings(Keys):
+        """Keys of the profile."""
+
+        center: tuple[Finite, ...] = _center()
+        sharpness: Positive = _sharpness()
+        wave: tuple[int, ...] = _direction()
+
+    @classmethod
+    def describe(cls, v: Values) -> str:
+        """Return direction and width."""
+        return f"{cls.kind}, periods {list(v['initial.wave'])}, sharpness {v['initial.sharpness']:g}"
 
     def _set_up(self) -> None:
         super()._set_up()
@@ -148,6 +297,19 @@ class PlaneGaussian(Plane):
 class PlaneWave(Plane):
     """One mode at rest: f = cos(k·x), ρ = cos(k·ξ) cos(c|k|t), u = (k/|k|) (c/ρ₀) sin(k·ξ) sin(c|k|t), ξ = x - vt."""
 
+    kind = "plane-wave"
+    about = "one cosine along a direction, at rest"
+
+    class Settings(Keys):
+        """Keys of the profile."""
+
+        wave: tuple[int, ...] = _direction()
+
+    @classmethod
+    def describe(cls, v: Values) -> str:
+        """Return the periods."""
+        return f"{cls.kind}, periods {list(v['initial.wave'])}"
+
     def shape(self, s: FloatArray) -> FloatArray:
         """Return cos(2πs)."""
         return np.cos(2.0 * np.pi * s)
@@ -155,6 +317,24 @@ class PlaneWave(Plane):
 
 class StandingWave(Solution):
     """The product f(x) = Π_a cos(k_a x_a), one mode of `CosineSeries`; axes with wave 0 contribute 1."""
+
+    kind = "standing-wave"
+    about = "a product of cosines along the axes"
+
+    class Settings(Keys):
+        """Keys of the profile."""
+
+        wave: tuple[int, ...] = key(
+            ByScene("1 per axis", lambda v: (1,) * v.dim, ("grid.cells",)),
+            WAVE,
+            "periods along each axis",
+            per_axis=True,
+        )
+
+    @classmethod
+    def describe(cls, v: Values) -> str:
+        """Return the periods."""
+        return f"{cls.kind}, periods {list(v['initial.wave'])}"
 
     def _set_up(self) -> None:
         waves = [np.array([w]) for w in _whole(self.wave, len(self.length))]
@@ -165,212 +345,35 @@ class StandingWave(Solution):
         return self.series(x, t)
 
 
-class Gaussian(Solution):
-    """A Gaussian about a point: f(x) = Σ over periodic images of exp(-sharpness |x - center|²), largest at `center`.
+class StateFromFile(Profile):
+    """No profile: density and velocity come with the particles of a file, zero where it has none."""
 
-    In 1D two pulses travel apart (`PlaneGaussian` with wave 1). In 2D and 3D, where a ring or shell spreads, f is a
-    product of 1D Gaussians, hence of cosine series, whose modes `CosineSeries` moves; at t = 0 the product serves.
+    kind = "file"
+    about = "density and velocity of the particle file; there is no exact solution to compare with"
 
-    Raises
-    ------
-    ValueError
-        sharpness is not positive, or so large that an axis needs more than 8192 waves in 2D, 512 in 3D.
+    @rule("initial.profile", "particles.layout")
+    @staticmethod
+    def comes_with_the_particles(v: Values) -> Broken | None:
+        """Initial values per particle come with the particles."""
+        if v["particles.layout"] == "file":
+            return None
+        return "initial.profile", f'needs particles.layout = "file"; it is {show(v["particles.layout"])}'
 
-    Notes
-    -----
-    Accurate to 1e-12 of the largest initial value (velocity: times c/ρ₀). Waves per axis: about 2 L_a √sharpness.
-    """
-
-    def _set_up(self) -> None:
-        d = len(self.length)
-        self.origin = _per_axis("center", self.center, d)
-        self.exponents = [_positive(self.sharpness) * box**2 for box in self.length]
-        self.moving: PlaneGaussian | CosineSeries
-        if d == 1:
-            box, gas, center = self.length, self.gas, self.origin
-            self.moving = PlaneGaussian(length=box, gas=gas, center=center, sharpness=self.sharpness, wave=(1,))
-            return
-        most = max(map(_wave_count, self.exponents))
-        if most > MOST_WAVES[d]:
-            allowed = (math.pi * MOST_WAVES[d] / max(self.length)) ** 2 / EXPONENT
-            raise ValueError(
-                f"sharpness = {self.sharpness:g} needs {most} waves on an axis; the limit in {d}D is {MOST_WAVES[d]}: "
-                f"this box allows sharpness up to {allowed:.3g}"
-            )
-        waves, amplitudes = zip(*map(gaussian_waves, self.exponents))
-        self.moving = CosineSeries(self.length, self.gas, self.origin, waves, amplitudes)
-
-    def __call__(self, x: ArrayLike, t: float) -> Fields:
-        """Evaluate at positions x (n, d) and time t, as `Solution` describes."""
-        if t != 0.0 or len(self.length) == 1:
-            return self.moving(x, t)
-        x, density, velocity = _prepare(x, len(self.length))
-        for rows in _chunks(len(x), CHUNK // 8):
-            density[rows] = 1.0
-            for a, (origin, box, exponent) in enumerate(zip(self.origin, self.length, self.exponents)):
-                density[rows] *= periodic_gaussian(_wrap((x[rows, a] - origin) / box), exponent)
-        return density, velocity
+    @classmethod
+    def describe(cls, v: Values) -> str:
+        """Return the file."""
+        return f"from {v['particles.path']}"
 
 
-class CosineSeries:
-    """The solution whose initial data are a product of cosine series, f(x) = Π_a Σ_n A_an cos(k_an (x_a - center_a)).
-
-    With ξ = x - center - vt and the sum over all combinations of one wave per axis, A the product of their amplitudes,
-
-        ρ = Σ A cos(c|k|t) Π_a cos(k_a ξ_a),    u_a = (c/ρ₀) Σ A (k_a/|k|) sin(c|k|t) sin(k_a ξ_a) Π_{b≠a} cos(k_b ξ_b).
-
-    Parameters
-    ----------
-    length, gas, center
-        As in `Solution`.
-    waves : per axis (K_a,), whole numbers
-        Periods per box length: k_an = 2π waves[a][n] / L_a.
-    amplitudes : per axis (K_a,)
-        A_an; their product over axes has the unit of ρ.
-
-    Notes
-    -----
-    About 2(d + 1) K₁⋯K_d flops a point, as matrix products over chunks of points and blocks of waves, so that
-    temporaries stay below 100 MB. Evenness about the center along every axis leaves real cosines and one sine.
-    """
-
-    def __init__(
-        self,
-        length: Sequence[float],
-        gas: Gas,
-        center: Sequence[float],
-        waves: Sequence[FloatArray],
-        amplitudes: Sequence[FloatArray],
-    ) -> None:
-        self.length, self.gas, self.center = tuple(length), gas, tuple(center)
-        self.waves, self.amplitudes = tuple(waves), tuple(amplitudes)
-
-    def __call__(self, x: ArrayLike, t: float) -> Fields:
-        """Density (n,) and velocity (n, d) at the positions x (n, d) and the time t, as in `Solution`."""
-        d = len(self.length)
-        x, density, velocity = _prepare(x, d)
-        origin = [_remainder(o, v, t, box) for o, v, box in zip(self.center, self.gas.flow, self.length)]
-        rest = math.prod(len(w) for w in self.waves[1:])
-        width = min(len(self.waves[0]), max(1, CHUNK // (2 * rest)))
-        for block in _chunks(len(self.waves[0]), width):
-            weights = self._weights(block, t)
-            for rows in _chunks(len(x), max(1, CHUNK // max(8, rest, 2 * width))):
-                offset = [_wrap((x[rows, a] - origin[a]) / self.length[a]) for a in range(d)]
-                for field, modes in zip((density, velocity), self._modes(offset, block, weights)):
-                    field[rows] += modes
-        velocity *= self.gas.sound_speed / self.gas.density
-        return density, velocity
-
-    def _weights(self, block: slice, t: float) -> list[FloatArray]:
-        """Factors of ρ, u_0, …, u_{d-1} at time t, without c/ρ₀: each (K_1⋯K_{d-1}, waves of axis 0 in `block`)."""
-        d = len(self.length)
-        order = [*range(1, d), 0]
-        k_all = [2.0 * np.pi * w / box for w, box in zip(self.waves, self.length)]
-        k_all[0] = k_all[0][block]
-        factors = [self.amplitudes[0][block], *self.amplitudes[1:]]
-        k = dict(zip(order, np.ix_(*(k_all[a] for a in order))))
-        amplitude = math.prod(np.ix_(*(factors[a] for a in order)))
-        norm = np.sqrt(sum(k[a] ** 2 for a in range(d)))
-        phase = (self.gas.sound_speed * t) * norm
-        # The mean has no direction and no velocity: dividing by 1 instead of |k| = 0 leaves k_a = 0 to say so.
-        swing = amplitude * np.sin(phase) / np.where(norm == 0.0, 1.0, norm)
-        arrays = [amplitude * np.cos(phase), *(k[a] * swing for a in range(d))]
-        return [array.reshape(-1, array.shape[-1]) for array in arrays]
-
-    def _modes(self, offset: list[FloatArray], block: slice, weights: list[FloatArray]) -> Fields:
-        """Sum of the modes of `block` at the points `offset`, in box lengths: density (n,) and velocity (n, d)."""
-        d, n = len(offset), len(offset[0])
-        waves = [self.waves[0][block], *self.waves[1:]]
-        phases = [np.multiply.outer(2.0 * np.pi * s, w) for s, w in zip(offset, waves)]
-        cos, sin = [np.cos(phase) for phase in phases], [np.sin(phase) for phase in phases]
-        # The first product serves ρ, even along axis 0, and u_0, odd along it.
-        both = _products(cos[1:], n) @ np.hstack(weights[:2])
-        width = len(waves[0])
-        density = np.einsum("nk,nk->n", both[:, :width], cos[0])
-        velocity = [np.einsum("nk,nk->n", both[:, width:], sin[0])]
-        for a in range(1, d):
-            tables = [sin[b] if b == a else cos[b] for b in range(1, d)]
-            velocity.append(np.einsum("nk,nk->n", _products(tables, n) @ weights[a + 1], cos[0]))
-        return density, np.stack(velocity, axis=1)
+PROFILES: Choices[Solution] = Choices(Solution)
+"""Kind to class."""
 
 
-PROFILES: dict[str, type[Solution]] = {
-    "gaussian": Gaussian,
-    "plane-gaussian": PlaneGaussian,
-    "plane-wave": PlaneWave,
-    "standing-wave": StandingWave,
-}
-
-
-def solution(
-    profile: str, *, length: Sequence[float], gas: Gas, center: Sequence[float], sharpness: float, wave: Sequence[int]
-) -> Solution:
-    """Build the named profile; see `Solution` for the arguments. ValueError for an unknown name, with the choices."""
+def solution(profile: str, *, length: Sequence[float], gas: Gas, **settings: Any) -> Solution:
+    """Return the named profile; see `Solution` for the settings. ValueError for an unknown name, with the choices."""
     if profile not in PROFILES:
         raise ValueError(f"profile = {profile!r} is unknown; choose one of {', '.join(PROFILES)}")
-    return PROFILES[profile](length=length, gas=gas, center=center, sharpness=sharpness, wave=wave)
-
-
-def periodic_gaussian(s: FloatArray, exponent: float) -> FloatArray:
-    """Σ_m exp(-exponent (s - m)²) over all whole m, for -½ <= s <= ½, to rounding of its largest value.
-
-    Summed over images or, where those are more, as a Fourier series (Poisson summation): at most 5 terms.
-    """
-    images = math.ceil(math.sqrt(EXPONENT / exponent) - 0.5)
-    if 2 * images + 1 <= _wave_count(exponent):
-        root = math.sqrt(exponent)
-        return _total([np.exp(-((root * (s - m)) ** 2)) for m in range(-images, images + 1)])
-    waves, amplitudes = gaussian_waves(exponent)
-    return _total([amplitude * np.cos((2.0 * np.pi * n) * s) for n, amplitude in zip(waves, amplitudes)])
-
-
-def gaussian_waves(exponent: float) -> tuple[FloatArray, FloatArray]:
-    """Waves n = 0, 1, … and amplitudes A_n with Σ_m exp(-exponent (s - m)²) = Σ_n A_n cos(2πns), to rounding.
-
-    A_n = √(π/exponent) exp(-π²n²/exponent), doubled for n > 0.
-    """
-    waves = np.arange(_wave_count(exponent), dtype=np.float64)
-    amplitudes = math.sqrt(np.pi / exponent) * np.exp(-((np.pi * waves) ** 2) / exponent)
-    amplitudes[1:] *= 2.0
-    return waves, amplitudes
-
-
-def _wave_count(exponent: float) -> int:
-    return max(1, math.ceil(math.sqrt(EXPONENT * exponent) / math.pi))
-
-
-def _total(terms: list[FloatArray]) -> FloatArray:
-    return reduce(np.add, terms)
-
-
-def _products(tables: list[FloatArray], n: int) -> FloatArray:
-    """Return all products of one entry per table, row by row: (n, K_1), … to (n, K_1⋯K_j), last index fastest."""
-    result = tables[0] if tables else np.ones((n, 1))
-    for table in tables[1:]:
-        result = (result[:, :, None] * table[:, None, :]).reshape(n, -1)
-    return result
-
-
-def _wrap(s: FloatArray) -> FloatArray:
-    """Subtract the nearest whole number."""
-    return s - np.rint(s)
-
-
-def _remainder(start: float, speed: float, t: float, period: float) -> float:
-    """(start + speed t) modulo period, exact before one final rounding."""
-    return float((Fraction(float(start)) + Fraction(float(speed)) * Fraction(float(t))) % Fraction(float(period)))
-
-
-def _chunks(n: int, size: int) -> Iterator[slice]:
-    return (slice(first, min(first + size, n)) for first in range(0, n, size))
-
-
-def _prepare(x: ArrayLike, d: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the positions as an array, and zeroed density (n,) and velocity (n, d)."""
-    x = np.asarray(x, dtype=np.float64)
-    if x.ndim != 2 or x.shape[1] != d:
-        raise ValueError(f"x has shape {x.shape}, expected (n, {d})")
-    return x, np.zeros(len(x)), np.zeros((len(x), d))
+    return PROFILES[profile](length=length, gas=gas, **settings)
 
 
 def _per_axis(name: str, values: Sequence[float], d: int) -> tuple[float, ...]:
