@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from mpipic.scene.records import Scene, SceneError
 from mpipic.study.file import Study, load
-from mpipic.study.points import differing, fit_steps, words
+from mpipic.study.points import differing, fit_steps, unused, words
 
 AXES = """
 until = 0.5
@@ -76,7 +76,8 @@ def test_schemes_set_several_keys_together_and_meet_every_axis(tmp_path: Path) -
     assert (last.scene.filter.order, last.scene.particles.jitter, last.ranks) == (5, 0.3, 2)
     assert last.values == {"scheme": "many terms", "grid.cells": [16], "layout": "wild"}
     assert list(differing(study.points)) == [
-        "grid.cells", "particles.layout", "particles.jitter", "filter.kind", "filter.order", "time.dt", "time.steps",
+        "grid.cells", "particles.layout", "particles.jitter", "particles.seed", "filter.kind", "filter.order",
+        "time.dt", "time.steps",
     ]  # fmt: skip
 
 
@@ -119,6 +120,18 @@ def test_the_digest_knows_scene_and_ranks_and_nothing_else(tmp_path: Path) -> No
     assert [p.id for p in first.points] == [p.id for p in renamed.points]
     later = study_of(tmp_path, AXES.replace("0.5", "0.75"))
     assert {p.id for p in first.points}.isdisjoint(p.id for p in later.points)
+
+
+def test_what_nothing_uses_is_said_once_with_the_points_that_say_it(tmp_path: Path) -> None:
+    study = study_of(tmp_path, 'until = 0.5\n[axes]\nfilter.kind = ["order", "local"]\nfilter.order = [2, 5]')
+    assert [point.scene.filter.to_dict() for point in study.points] == [
+        {"kind": "order", "order": 2}, {"kind": "order", "order": 5}, {"kind": "local"}, {"kind": "local"},
+    ]  # fmt: skip
+    why = 'is not used: filter.kind = "local" takes no order; order and chebyshev do'
+    assert unused(study.points) == [
+        f'filter.order = 2 {why} (in 1 of 4 points, such as "local, order 2")',
+        f'filter.order = 5 {why} (in 1 of 4 points, such as "local, order 5")',
+    ]
 
 
 def test_every_mistake_is_named_once_with_key_value_and_rule(tmp_path: Path) -> None:
@@ -177,7 +190,6 @@ def test_bad_points_are_all_found_before_anything_runs_and_each_mistake_appears_
         "repeats = -1",
         "gas.flwo = [1.0]: there is no such key",
         'filter.kind = "locl": must be one of',
-        "filter.order = 5: has no effect with filter.kind",
         "grid.cells = 8: must be a list",
     ]
     for part in expected:

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import mpipic.run.parts  # noqa: F401  all that scenes can name
-from mpipic.parts import alternatives
+from mpipic.parts import alternatives, sections
 from mpipic.run.ranks import check_ranks
 from mpipic.scene.records import Problem, Scene, SceneError
 from mpipic.wording import show
@@ -139,6 +139,15 @@ def expand(data: Sections, base: Values, axes: Sequence[Axis], until: float, pro
     return points
 
 
+def unused(points: Sequence[Point]) -> list[str]:
+    """Return what points say and nothing in them uses, each once, with how many say it."""
+    found: dict[str, list[str]] = {}
+    for point in points:
+        for one in point.scene.unused:
+            found.setdefault(str(one), []).append(point.label)
+    return [f"{text} ({_where(labels, len(points))})" for text, labels in found.items()]
+
+
 def _where(labels: list[str], total: int) -> str:
     if len(labels) == total:
         return "in every point"
@@ -186,7 +195,8 @@ def _check(scene: Scene, ranks: object) -> int:
 def differing(points: Sequence[Point]) -> Iterator[str]:
     """Yield the scene keys in which the points differ, ranks among them."""
     scenes = [{**_dotted(point.scene), RANKS: point.ranks} for point in points]
-    for key in dict.fromkeys(key for scene in scenes for key in scene):
+    order = [f"{section}.{name}" for section, names in sections().items() for name in names]
+    for key in (*order, RANKS):
         if any(scene.get(key) != scenes[0].get(key) for scene in scenes):
             yield key
 

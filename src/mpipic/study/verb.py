@@ -19,7 +19,7 @@ from mpipic.study import report
 from mpipic.study.file import Study, load
 from mpipic.study.journal import COMPLETED, FAILED, UNSTABLE, Journal, Record
 from mpipic.study.pareto import cheapest, most_accurate
-from mpipic.study.points import Point, words
+from mpipic.study.points import Point, unused, words
 from mpipic.study.results import (
     CSV,
     JSON,
@@ -59,8 +59,7 @@ def run(
     Raises SceneError or OutputError before anything runs.
     """
     wanted = parse_aims(aims)
-    study = load(path)
-    _check_launcher(study)
+    study = _load(path, console)
     folder = output or Path("runs") / study.name
     journal = _open(folder, fresh)
     try:
@@ -83,9 +82,14 @@ def run(
     return 0 if any(row.status in (COMPLETED, UNSTABLE) for row in rows) else NOTHING_CAME_OF_IT
 
 
-def _check_launcher(study: Study) -> None:
+def _load(path: Path, console: Console) -> Study:
+    """Return the study, once it is known that it can run; point out what its points say and do not use."""
+    study = load(path)
     if launcher() is None and any(point.ranks > 1 for point in study.points):
         raise SceneError([Problem("ranks", None, "needs mpiexec, and there is none; name one by MPIPIC_MPIEXEC")])
+    for text in unused(study.points):
+        console.warning(text)
+    return study
 
 
 def _open(folder: Path, fresh: bool) -> Journal:
