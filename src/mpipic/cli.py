@@ -61,8 +61,13 @@ def before_the_verb(
     """Distributed particle-in-cell solver with null-space filters."""
 
 
-def _load(path: Path | None, overrides: list[str] | None, comm: MPI.Comm, preset: str | None = None) -> Scene:
-    """Read the scene on rank 0 and give it, or the refusal, to all."""
+def _load(
+    path: Path | None, overrides: list[str] | None, comm: MPI.Comm, preset: str | None = None, compared: str = ""
+) -> Scene:
+    """Read the scene on rank 0 and give it, or the refusal, to all; point out what nothing in it uses.
+
+    `compared`: a section whose keys the verb hands to other choices than the scene's.
+    """
     import mpipic.run.parts  # noqa: F401  all that scenes can name
     from mpipic.console import Console
     from mpipic.run.ranks import check_ranks
@@ -79,8 +84,10 @@ def _load(path: Path | None, overrides: list[str] | None, comm: MPI.Comm, preset
     if isinstance(scene, SceneError):
         raise scene
     assert scene is not None
+    console = Console(comm)
     for unused in scene.unused:
-        Console(comm).warning(str(unused))
+        if unused.key.split(".")[0] != compared:
+            console.warning(str(unused))
     return scene
 
 
@@ -149,9 +156,21 @@ def run(
 
 
 @app.command()
-def check(scene: SceneFile = None, set_: Overrides = None, preset: Preset = None) -> None:
+def check(
+    scene: SceneFile = None,
+    set_: Overrides = None,
+    preset: Preset = None,
+    keys: Annotated[bool, typer.Option("--keys", help="Print a table of all keys that scenes have, and end.")] = False,
+) -> None:
     """Say what a scene builds, what it leaves out, and the memory it takes, without running it."""
     comm = start()
+    if keys:
+        import mpipic.run.parts  # noqa: F401  all that scenes can name
+        from mpipic.scene.table import keys_as_markdown
+
+        if comm.rank == 0:
+            typer.echo(keys_as_markdown(), nl=False)
+        return
     with _stating(comm):
         loaded = _load(scene, set_, comm, preset)
         from mpipic.console import Console
@@ -184,7 +203,7 @@ def spectrum(
     """Say what one application of each filter keeps of every wave, on a scene's particles."""
     comm = start()
     with _stating(comm):
-        loaded = _load(scene, set_, comm)
+        loaded = _load(scene, set_, comm, compared="filter")
         from mpipic.analysis import spectrum as verb
         from mpipic.analysis.filter_choice import choose
         from mpipic.console import Console
@@ -205,7 +224,7 @@ def filters(
     """Compare the filters on a scene's particles: cost, and distance from the exact projection."""
     comm = start()
     with _stating(comm):
-        loaded = _load(scene, set_, comm)
+        loaded = _load(scene, set_, comm, compared="filter")
         from mpipic.analysis import comparison
         from mpipic.analysis.filter_choice import choose
         from mpipic.console import Console
@@ -263,7 +282,7 @@ def stability(
     """Compute by how much a scene's scheme grows per step, and when rounding noise blows it up."""
     comm = start()
     with _stating(comm):
-        loaded = _load(scene, set_, comm, preset)
+        loaded = _load(scene, set_, comm, preset, compared="filter" if maps else "")
         from mpipic.analysis import growth, growth_map
         from mpipic.analysis.filter_choice import choose
         from mpipic.console import Console

@@ -86,7 +86,7 @@ class Key:
     def meaning(self) -> str:
         """One line for the table of keys, with the unit."""
         unit = self._extra.get("unit")
-        return f"{self.info.title}, in {unit}" if unit else self.info.title or ""
+        return f"{self.info.title} ({unit})" if unit else self.info.title or ""
 
     @property
     def default(self) -> Any:

@@ -283,6 +283,12 @@ class PenalisedMass(LeastSquaresMass):
         penalty, order = v["mapping.penalty"], v["mapping.penalty_order"]
         return f"least squares with a penalty of {penalty:g} on differences of order {order}"
 
+    @classmethod
+    def node_doubles(cls, v: Values) -> int:
+        """Return what least squares keep, and the neighbours along the axes that only the penalty couples."""
+        beyond = max(0, v["mapping.penalty_order"] - BASES[v["mapping.basis"]].degree)
+        return super().node_doubles(v) + 2 * v.dim * beyond
+
 
 MASSES: Choices[Mass] = Choices(Mass)
 """Kind to class."""

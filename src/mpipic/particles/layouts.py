@@ -149,9 +149,7 @@ class FromFile(Layout):
     class Settings(Keys):
         """Keys of the layout."""
 
-        path: str = key(
-            "", "the name of a file", "HDF5 file; a relative name starts at the scene's folder", is_file=True
-        )
+        path: str = key("", "the name of a file", "HDF5 file, looked for from the scene's folder", is_file=True)
 
     @rule("particles.path")
     @staticmethod

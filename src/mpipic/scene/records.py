@@ -13,7 +13,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import mpipic.scene.sections  # noqa: F401  the sections that are no room's
 from mpipic import parts
 from mpipic.files import Unreadable, read_text
 from mpipic.parts import Part, Values
@@ -22,7 +21,7 @@ from mpipic.scene.presets import PRESETS, with_preset
 from mpipic.scene.text import Problem, SceneError, Unused, apply_overrides, parse_toml, write_toml
 from mpipic.wording import closest, escape
 
-__all__ = ["Problem", "Scene", "SceneError", "Section", "Unused"]
+__all__ = ["Problem", "Scene", "SceneError", "Section", "Unused", "with_absolute_paths"]
 
 
 class Section:

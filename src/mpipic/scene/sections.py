@@ -80,7 +80,7 @@ class Time(Part):
     class Settings(Keys):
         """Keys of [time], without those of its integrator."""
 
-        dt: Positive | None = key(1.25e-3, ABOVE_0, "time step; or give cfl", unit="time")
+        dt: Positive | None = key(1.25e-3, ABOVE_0, "time step, or give cfl", unit="time")
         cfl: Positive | None = key(None, ABOVE_0, "cells that sound travels in a step; in place of dt")
         blow_up: AboveOne = key(
             100.0, "a finite number above 1", "|density| this many times its start ends a run as unstable"

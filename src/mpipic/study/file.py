@@ -38,7 +38,8 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from mpipic.files import Unreadable, read_text
-from mpipic.scene.records import Problem, Scene, SceneError
+from mpipic.parts import file_keys
+from mpipic.scene.records import Problem, Scene, SceneError, with_absolute_paths
 from mpipic.scene.text import parse_toml
 from mpipic.study.points import NOTHING, RANKS, SCHEME, Axis, Choice, Point, Values, expand
 from mpipic.wording import closest, escape, show, show_key
@@ -96,8 +97,9 @@ def load(path: Path) -> Study:
     base = _flat("base", data.get("base", {}), problems)
     axes = _axes(data, problems)
     for table in (base, *(choice.settings for axis in axes for choice in axis.choices)):
-        if isinstance(place := table.get("particles.path"), str) and place:
-            table["particles.path"] = str((path.parent / place).absolute())
+        for name in file_keys():
+            if isinstance(place := table.get(name), str) and place:
+                table[name] = str((path.parent / place).absolute())
     points: list[Point] = []
     if scene_data is not None and math.prod(len(axis.choices) for axis in axes) <= MOST_POINTS:
         points = expand(scene_data, base, axes, settings.until, problems)
@@ -146,10 +148,7 @@ def _base_scene(name: str, folder: Path, problems: list[Problem]) -> dict[str, d
             replace(p, key=p.key if str(path) in p.key else f"scene {name}: {p.key}") for p in error.problems
         )
         return None
-    particles = data.get("particles", {})
-    if particles.get("path"):
-        particles["path"] = str((path.parent / particles["path"]).absolute())
-    return data
+    return with_absolute_paths(data, path.parent)
 
 
 def _flat(where: str, table: object, problems: list[Problem]) -> Values:

@@ -52,9 +52,13 @@ class Damping(Part):
         """Keys of [damping]. Both rates are per cell that sound travels, and a step takes all at most."""
 
         order: UpTo8OrZero = key(0, "a whole number from 0 to 8", "second differences of the low-pass; 0: none")
-        strength: Positive = key(1.0, ABOVE_0, "of the shortest wave a step takes the share strength c dt / h")
+        strength: Positive = key(
+            1.0, ABOVE_0, "with order above 0: of the shortest wave a step takes strength c dt / h"
+        )
         null_space: NotNegative = key(
-            0.0, NOT_BELOW_0, "of what particles hold beside their nodal fields a step takes null_space c dt / h"
+            0.0,
+            NOT_BELOW_0,
+            "of what particles hold beside their fields a step takes the share null_space c dt / h",
         )
 
     @rule("damping.order", "mapping.mass", "mapping.gradient", "filter.kind")
