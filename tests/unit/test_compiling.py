@@ -103,3 +103,47 @@ except numba.TypingError:
 def test_the_host_program_keeps_its_options_of_numba_and_compiles_by_them(package: Path) -> None:
     (package / "host.py").write_text(HOST)
     assert run(package, "import host").split() == ["as", "it", "was"]
+
+
+RUN = """
+import sys
+from mpi4py import MPI
+from numba.core import event
+from mpipic import Scene, Simulation
+from mpipic.run.warmup import compile_loops
+from run_helpers import Reports
+
+class Compiled(event.Listener):
+    names = []
+    def on_start(self, event):
+        self.names.append(event.data["dispatcher"].__name__)
+    def on_end(self, event):
+        pass
+
+event.register("numba:compile", Compiled())
+words = ["time.steps=3", "output.report_at=[2]", *sys.argv[1:]]
+scene = Scene.load(None, words)
+compile_loops(scene)
+before = len(Compiled.names)
+simulation = Simulation(scene, MPI.COMM_SELF)
+outcome = simulation.run(Reports())
+simulation.close()
+print(before, outcome.status, *Compiled.names[before:])
+"""
+SCENES = {
+    "the paper's": (),
+    "2D, random, exact": ("grid.cells=[6,6]", "particles.layout=random", "particles.per_cell=[4]", "filter.kind=exact"),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("words", SCENES.values(), ids=SCENES)
+def test_a_run_compiles_nothing_after_its_loops_were_compiled_ahead(tmp_path: Path, words: tuple[str, ...]) -> None:
+    """With a report and the Krylov solve that it takes."""
+    settings = environment(XDG_CACHE_HOME=str(tmp_path))
+    command = [sys.executable, "-c", RUN, *words]
+    ended = subprocess.run(command, env=settings, text=True, capture_output=True, timeout=120)
+    assert ended.returncode == 0, ended.stderr
+    before, *after = ended.stdout.split()
+    assert int(before) > 20
+    assert after == ["completed"]

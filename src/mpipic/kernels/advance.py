@@ -34,8 +34,8 @@ returns the largest |scalar|.
 
 import numpy as np
 
-from mpipic.kernels.blocks import BLOCK, breaks_of, find, find_leavers, scratch
-from mpipic.kernels.common import U, hot, inlined
+from mpipic.kernels.blocks import BLOCK, breaks_of, find, find_leavers, move_block, scratch
+from mpipic.kernels.common import U, hot, inlined, inner
 
 
 @inlined
@@ -43,7 +43,7 @@ def _lerp(a, b, f):
     return a + f * (b - a)
 
 
-@hot
+@inner
 def _update_1d(s, g, p0, count, node, f_, inverse_h, rates, direct):
     ra, rb = rates
     sx, tx = ra * inverse_h[0], rb * inverse_h[0]
@@ -62,7 +62,7 @@ def _update_1d(s, g, p0, count, node, f_, inverse_h, rates, direct):
     return peak if infinite == 0.0 else np.nan
 
 
-@hot
+@inner
 def _deposit_1d(s, o, m, p0, count, outside, node, cell, f_, weigh):
     """Runs of particles in one cell are summed in registers."""
     a0, a1, b0, b1, m0, m1, m2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -111,7 +111,7 @@ def deposit_1d(axes, state, sums, moments, start, stop, geometry, shape, layout,
     index, fraction = scratch(1)
     for p0 in range(start, stop, BLOCK):
         count = min(BLOCK, stop - p0)
-        find(axes, p0, count, geometry, shape, layout, index[0], index[1], fraction, False)
+        find(axes, p0, count, geometry, shape, layout, index[0], index[1], fraction)
         _deposit_1d(s, o, m, p0, count, index[2], index[0], index[1], fraction[0], weigh)
     return _largest(state, start, stop)
 
@@ -124,13 +124,14 @@ def advance_1d(
     s, g, o, m = state.reshape(-1), nodal.reshape(-1), sums.reshape(-1), moments.reshape(-1)
     index, fraction = scratch(1)
     node, cell, outside, f = index[0], index[1], index[2], fraction[0]
-    peak, breaks, left, before = 0.0, 0, 0, -1
+    peak, breaks, left, before = 0.0, 0, np.int64(0), np.int64(-1)  # typed: a bare 0 would compile its callees twice
     for p0 in range(start, stop, BLOCK):
         count = min(BLOCK, stop - p0)
-        find(axes, p0, count, geometry, shape, layout, node, cell, fraction, False)
+        find(axes, p0, count, geometry, shape, layout, node, cell, fraction)
         peak = _worse(peak, _update_1d(s, g, p0, count, node, f, geometry[0], rates, direct))
         if weigh:
-            find(axes, p0, count, geometry, shape, layout, node, cell, fraction, True)
+            move_block(axes, p0, count, geometry)
+            find(axes, p0, count, geometry, shape, layout, node, cell, fraction)
             if bounded:
                 left = find_leavers(axes, p0, count, geometry, shape, outside, leaving, left)
             breaks += breaks_of(cell, cell[1:count], before)
@@ -145,7 +146,7 @@ def _worse(peak, other):
     return peak if peak >= other or peak != peak else other
 
 
-@hot
+@inner
 def _largest(state, start, stop):
     peak, infinite = 0.0, 0.0
     for p in range(start, stop):
@@ -172,7 +173,7 @@ def _add9(m, b, w, p0, p1, p2, p3, p4, p5, p6, p7, p8):
     m[b + U(8)] = a8
 
 
-@hot
+@inner
 def _update_2d(s, g, p0, count, node, fx_, fy_, row, inverse_h, rates, direct):
     ra, rb = rates
     sx, sy, tx, ty = ra * inverse_h[0], ra * inverse_h[1], rb * inverse_h[0], rb * inverse_h[1]
@@ -197,7 +198,7 @@ def _update_2d(s, g, p0, count, node, fx_, fy_, row, inverse_h, rates, direct):
     return peak if infinite == 0.0 else np.nan
 
 
-@hot
+@inner
 def _deposit_2d(s, o, m, p0, count, outside, node, cell, fx_, fy_, row, weigh):
     one = 1.0 if weigh else 0.0
     for p in range(count):
@@ -226,7 +227,7 @@ def deposit_2d(axes, state, sums, moments, start, stop, geometry, shape, layout,
     node, cell, outside, fx, fy = index[0], index[1], index[2], fraction[0], fraction[1]
     for p0 in range(start, stop, BLOCK):
         count = min(BLOCK, stop - p0)
-        find(axes, p0, count, geometry, shape, layout, node, cell, fraction, False)
+        find(axes, p0, count, geometry, shape, layout, node, cell, fraction)
         _deposit_2d(s, o, m, p0, count, outside, node, cell, fx, fy, layout[1], weigh)
     return _largest(state, start, stop)
 
@@ -239,13 +240,14 @@ def advance_2d(
     s, g, o, m = state.reshape(-1), nodal.reshape(-1), sums.reshape(-1), moments.reshape(-1)
     index, fraction = scratch(2)
     node, cell, outside, fx, fy = index[0], index[1], index[2], fraction[0], fraction[1]
-    peak, breaks, left, before = 0.0, 0, 0, -1
+    peak, breaks, left, before = 0.0, 0, np.int64(0), np.int64(-1)  # typed: a bare 0 would compile its callees twice
     for p0 in range(start, stop, BLOCK):
         count = min(BLOCK, stop - p0)
-        find(axes, p0, count, geometry, shape, layout, node, cell, fraction, False)
+        find(axes, p0, count, geometry, shape, layout, node, cell, fraction)
         peak = _worse(peak, _update_2d(s, g, p0, count, node, fx, fy, layout[1], geometry[0], rates, direct))
         if weigh:
-            find(axes, p0, count, geometry, shape, layout, node, cell, fraction, True)
+            move_block(axes, p0, count, geometry)
+            find(axes, p0, count, geometry, shape, layout, node, cell, fraction)
             if bounded:
                 left = find_leavers(axes, p0, count, geometry, shape, outside, leaving, left)
             breaks += breaks_of(cell, cell[1:count], before)
@@ -279,7 +281,7 @@ def _trilinear(g, b, c, t, e, fx, fy, fz):
     return _lerp(low, high, fz)
 
 
-@hot
+@inner
 def _update_3d(s, g, p0, count, node, fx_, fy_, fz_, row, plane, inverse_h, rates, direct):
     ra, rb = rates
     hx, hy, hz = inverse_h
@@ -307,7 +309,7 @@ def _update_3d(s, g, p0, count, node, fx_, fy_, fz_, row, plane, inverse_h, rate
     return peak if infinite == 0.0 else np.nan
 
 
-@hot
+@inner
 def _deposit_3d(s, o, m, p0, count, outside, node, cell, fx_, fy_, fz_, row, plane, weigh):
     for p in range(count):
         if outside[p]:
@@ -345,7 +347,7 @@ def deposit_3d(axes, state, sums, moments, start, stop, geometry, shape, layout,
     node, cell, outside = index[0], index[1], index[2]
     for p0 in range(start, stop, BLOCK):
         count = min(BLOCK, stop - p0)
-        find(axes, p0, count, geometry, shape, layout, node, cell, f, False)
+        find(axes, p0, count, geometry, shape, layout, node, cell, f)
         _deposit_3d(s, o, m, p0, count, outside, node, cell, f[0], f[1], f[2], layout[1], layout[2], weigh)
     return _largest(state, start, stop)
 
@@ -359,14 +361,15 @@ def advance_3d(
     index, f = scratch(3)
     node, cell, outside = index[0], index[1], index[2]
     row, plane = layout[1], layout[2]
-    peak, breaks, left, before = 0.0, 0, 0, -1
+    peak, breaks, left, before = 0.0, 0, np.int64(0), np.int64(-1)  # typed: a bare 0 would compile its callees twice
     for p0 in range(start, stop, BLOCK):
         count = min(BLOCK, stop - p0)
-        find(axes, p0, count, geometry, shape, layout, node, cell, f, False)
+        find(axes, p0, count, geometry, shape, layout, node, cell, f)
         other = _update_3d(s, g, p0, count, node, f[0], f[1], f[2], row, plane, geometry[0], rates, direct)
         peak = _worse(peak, other)
         if weigh:
-            find(axes, p0, count, geometry, shape, layout, node, cell, f, True)
+            move_block(axes, p0, count, geometry)
+            find(axes, p0, count, geometry, shape, layout, node, cell, f)
             if bounded:
                 left = find_leavers(axes, p0, count, geometry, shape, outside, leaving, left)
             breaks += breaks_of(cell, cell[1:count], before)

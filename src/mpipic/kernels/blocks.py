@@ -6,12 +6,12 @@ what is found of it fit the first cache. Arguments as in `kernels.advance`.
 
 import numpy as np
 
-from mpipic.kernels.common import cell_and_fraction, exactly, hot, inlined
+from mpipic.kernels.common import cell_and_fraction, exactly, inlined, inner, inner_exactly
 
 BLOCK = 256
 
 
-@exactly
+@inner_exactly
 def _place_first(x, tolerance, first, origin, node, cell, fraction):
     """Node and cell indices from the first axis, and the local coordinate along it."""
     for p in range(x.size):
@@ -20,7 +20,7 @@ def _place_first(x, tolerance, first, origin, node, cell, fraction):
         node[p] = c - first + origin
 
 
-@exactly
+@inner_exactly
 def _place_next(x, tolerance, first, node_stride, cell_stride, node, cell, fraction):
     """Add another axis' part to the node and cell indices, and find the local coordinate along it."""
     for p in range(x.size):
@@ -55,15 +55,13 @@ def move_each(x, shifts, period, tolerance):
         x[p] = t + period * np.float64(t < -tolerance)
 
 
-@hot
-def find(axes, p0, count, geometry, shape, layout, node, cell, fraction, moving):
-    """Nodes, cells and local coordinates of a block, after moving it if `moving`."""
+@inner
+def find(axes, p0, count, geometry, shape, layout, node, cell, fraction):
+    """Nodes, cells and local coordinates of a block."""
     strides, cell_stride = (1, layout[1], layout[2]), 1
     for a in range(axes.shape[0]):
         x = axes[a, p0 : p0 + count]
         tolerance, first = geometry[1][a], np.int32(geometry[4][a])
-        if moving:
-            move(x, geometry[3][a], geometry[2][a], tolerance)
         if a == 0:
             _place_first(x, tolerance, first, np.int32(layout[0]), node, cell, fraction[a])
         else:
@@ -71,7 +69,14 @@ def find(axes, p0, count, geometry, shape, layout, node, cell, fraction, moving)
         cell_stride *= shape[a]
 
 
-@hot
+@inner
+def move_block(axes, p0, count, geometry):
+    """Move a block by the displacement of this step."""
+    for a in range(axes.shape[0]):
+        move(axes[a, p0 : p0 + count], geometry[3][a], geometry[2][a], geometry[1][a])
+
+
+@inner
 def find_leavers(axes, p0, count, geometry, shape, outside, leaving, left):
     """Mark who is outside, append to `leaving`; returns how many have left so far."""
     outside[:count] = 0
@@ -86,7 +91,7 @@ def find_leavers(axes, p0, count, geometry, shape, outside, leaving, left):
     return left
 
 
-@hot
+@inner
 def breaks_of(cell, next_cell, before):
     """How many cells differ from that of the particle before; next_cell is `cell` without its first entry."""
     total = np.int32(cell[0] != before)

@@ -13,7 +13,7 @@ Arguments: `moments` (cells, 3^d); `shape` cells per axis, padded with 1; `layou
 strides along y and z); `values` and `out` nodal arrays (nodes, columns).
 """
 
-from mpipic.kernels.common import U, hot, inlined
+from mpipic.kernels.common import U, hot, inlined, inner
 
 
 @inlined
@@ -245,7 +245,7 @@ def _cross_cell_3d(m, q, v, n, row, plane, rx, ry, rz, kx, ky, kz):
     return (g0, g1, g2, g3, g4, g5, g6, g7, f0, f1, f2, f3, f4, f5, f6, f7, d0, d1, d2, d3, d4, d5, d6, d7)
 
 
-@hot
+@inner
 def _divergence_3d(m, shape, layout, inverse_h, v, out):
     row, plane, e, z = U(layout[1]), U(layout[2]), U(1), U(0)
     rx, ry, rz = inverse_h[0], inverse_h[1], inverse_h[2]
@@ -267,7 +267,7 @@ def _divergence_3d(m, shape, layout, inverse_h, v, out):
             _add_edge_3d(out, z, n, row, plane, r0, r1, r2, r3)
 
 
-@hot
+@inner
 def _gradient_3d(m, shape, layout, inverse_h, v, out):
     row, plane, e, z, k2 = U(layout[1]), U(layout[2]), U(1), U(0), U(2)
     rx, ry, rz = inverse_h[0], inverse_h[1], inverse_h[2]

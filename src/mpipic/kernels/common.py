@@ -72,10 +72,11 @@ CACHE = _find_cache()
 
 def compiled(**options: object) -> Callable[[Loop], Loop]:
     """Return a decorator: compile a loop when it is first called, without Python objects, and keep it in `CACHE`."""
+    options = {"error_model": "numpy", "no_cfunc_wrapper": True, "pipeline_class": LoopCompiler, **options}
 
     def decorate(function: Loop) -> Loop:
         with _numba_option("CACHE_DIR", CACHE):  # looked up here, once for each loop
-            loop: Loop = njit(cache=bool(CACHE), pipeline_class=LoopCompiler, error_model="numpy", **options)(function)
+            loop: Loop = njit(cache=bool(CACHE), **options)(function)
         return loop
 
     return decorate
@@ -83,12 +84,15 @@ def compiled(**options: object) -> Callable[[Loop], Loop]:
 
 # Contraction to fused multiply-add is the only liberty taken with the arithmetic: no reassociation, NaN stays NaN.
 hot = compiled(fastmath={"contract"})
-inlined = njit(inline="always")
 # No contraction: which cell a particle is in must not depend on where the compiler fuses.
 exactly = compiled()
+# The same, called by other loops only: no entrance from Python, which takes a good part of the time to compile.
+inner = compiled(fastmath={"contract"}, no_cpython_wrapper=True)
+inner_exactly = compiled(no_cpython_wrapper=True)
+inlined = njit(inline="always")
 
 
-@exactly
+@inner_exactly
 def cell_and_fraction(x, tolerance):
     """Cell that coordinate x >= -tolerance (in cells) lies in, and the local coordinate in [0, 1) within it; exact.
 

@@ -1,4 +1,4 @@
-"""Loops that serve any number of columns and any dimension: mapping of single fields, sorting, packing.
+"""Loops that serve any number of columns and any dimension: mapping of single fields, sorting.
 
 Coordinates are (n, d), in cells, values (n, k), nodal arrays (nodes, k), all C-contiguous. `locate` finds the cell of
 every particle once; the mapping loops then use its answer.
@@ -6,7 +6,7 @@ every particle once; the mapping loops then use its answer.
 
 import numpy as np
 
-from mpipic.kernels.common import cell_and_fraction, hot
+from mpipic.kernels.common import cell_and_fraction, hot, inner
 
 
 @hot
@@ -31,7 +31,7 @@ def locate(coordinate, tolerance, first, shape, cell, fraction):
     return stray
 
 
-@hot
+@inner
 def node_of(cell, shape, layout):
     """The lowest node of a local cell: shape (3,) padded with 1, layout = (first node, strides of y and z)."""
     rest, i = divmod(cell, shape[0])
@@ -97,20 +97,3 @@ def sort_order(cell, cells, order):
     for p in range(cell.size):
         order[start[cell[p]]] = p
         start[cell[p]] += 1
-
-
-@hot
-def close_gaps(gaps, count, rows):
-    """Overwrite rows at the sorted indices `gaps` by rows from the end, so that the first count - gaps.size stay."""
-    keep = count - gaps.size
-    last = count - 1
-    upper = gaps.size - 1
-    for g in gaps:
-        if g >= keep:
-            break
-        while upper >= 0 and gaps[upper] == last:
-            last -= 1
-            upper -= 1
-        for k in range(rows.shape[1]):
-            rows[g, k] = rows[last, k]
-        last -= 1

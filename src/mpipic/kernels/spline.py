@@ -9,7 +9,7 @@ form in one dimension.
 
 import numpy as np
 
-from mpipic.kernels.common import U, hot, inlined
+from mpipic.kernels.common import U, hot, inlined, inner
 from mpipic.kernels.generic import node_of
 
 ON_BREAK = 1e-10
@@ -52,7 +52,7 @@ def _scratch():
     return np.ones((3, 4)), np.ones((3, 4)), np.ones(3, np.int64)
 
 
-@hot
+@inner
 def _find(degree, cell, fraction, p, shape, layout, w, count):
     """Weights of particle p per axis; returns its first node."""
     node = node_of(cell[p], shape, layout)
@@ -118,7 +118,7 @@ def add_interpolated(degree, cell, fraction, nodal, rate, shape, layout, out):
             out[p, c] += rate[c] * total[c]
 
 
-@hot
+@inner
 def _along(axis, w, s, i, j, k):
     """The shape function of corner (i, j, k), differentiated along `axis`."""
     x = s[0, i] if axis == 0 else w[0, i]
@@ -127,7 +127,7 @@ def _along(axis, w, s, i, j, k):
     return x * y * z
 
 
-@hot
+@inner
 def _find_slopes(degree, fraction, p, inverse_h, s):
     for a in range(fraction.shape[1]):
         slopes(degree, fraction[p, a], inverse_h[a], s[a])
@@ -206,7 +206,7 @@ def add_divergence_sums(degree, cell, fraction, values, inverse_h, shape, layout
                     out[U(row + i)] += total
 
 
-@hot
+@inner
 def _pair_places(degree, dim, layout, diagonals, place):
     """Of every pair of nodes a <= b that a particle touches: where its product goes, relative to the first node's row.
 
@@ -223,7 +223,7 @@ def _pair_places(degree, dim, layout, diagonals, place):
             pair += 1
 
 
-@hot
+@inner
 def _move(total, place, first, out):
     """out[first + place] += total; total = 0."""
     for pair in range(total.size):

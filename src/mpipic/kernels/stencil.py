@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mpipic.kernels.common import U, hot
+from mpipic.kernels.common import U, hot, inlined, inner
 
 NODES_AT_ONCE = 2048
 ROWS_AT_ONCE = 64
@@ -92,7 +92,8 @@ def scale_diagonals(entries, constants, offsets, scale, diagonals):
             else:
                 for i in range(whole):
                     row[i] = constants[h] * here[i] * there[i]
-            row[whole:] = 0.0
+            for i in range(whole, row.size):
+                row[i] = 0.0
 
 
 @hot
@@ -111,7 +112,7 @@ def multiply(diagonals, offsets, main, values, shape, layout, out):
             n += m
 
 
-@hot
+@inlined
 def _multiply_block(diagonals, offsets, main, values, n, m, out):
     for c in range(values.shape[0]):
         row, here = out[c, n : n + m], values[c, n : n + m]
@@ -140,13 +141,13 @@ def _multiply_block(diagonals, offsets, main, values, n, m, out):
             )  # fmt: skip
 
 
-@hot
+@inner
 def _add_one(row, a0, v0, a1, v1):
     for i in range(row.size):
         row[i] += a0[i] * v0[i] + a1[i] * v1[i]
 
 
-@hot
+@inner
 def _add_two(row, a0, v0, a1, v1, a2, v2, a3, v3):
     for i in range(row.size):
         row[i] += (a0[i] * v0[i] + a1[i] * v1[i]) + (a2[i] * v2[i] + a3[i] * v3[i])
@@ -178,7 +179,11 @@ def convolve(values, weights, shape, layout, plane, line, out):
     plane, line : work arrays: one padded plane (as many numbers as a padded z layer), one padded line.
     """
     reach = weights.shape[1] - 1
-    sides = np.array([0 if weights[a, 1:].any() == 0 else reach for a in range(3)])
+    sides = np.zeros(3, np.int64)
+    for a in range(3):
+        for r in range(1, reach + 1):
+            if weights[a, r] != 0.0:
+                sides[a] = reach
     begin = layout[0] - sides[0]
     length = shape[0] + 2 * sides[0]
     for k in range(shape[2]):
@@ -191,10 +196,10 @@ def convolve(values, weights, shape, layout, plane, line, out):
         for j in range(shape[1]):
             _combine(source, weights[1], sides[1], start + j * stride, stride, length, line)
             first = (k * shape[1] + j) * shape[0]
-            _combine(line, weights[0], sides[0], sides[0], 1, shape[0], out[first : first + shape[0]])
+            _combine(line, weights[0], sides[0], sides[0], np.int64(1), shape[0], out[first : first + shape[0]])
 
 
-@hot
+@inner
 def _combine(values, weights, reach, start, stride, count, out):
     """out[i] = Σ_s weights[|s|] values[start + s stride + i], |s| <= reach."""
     here = values[start : start + count]

@@ -146,9 +146,14 @@ class Particles:
         Others move into the gaps from the end. Local; O(number removed).
         """
         taken = self.coordinate[index], self.state[index], self.ids[index]
-        for array in (*(axis[:, None] for axis in self._axes), self._state, self._ids):
-            generic.close_gaps(index, self.count, array)
-        self.count -= len(index)
+        stay = self.count - len(index)
+        gaps = index[index < stay]
+        moved = np.ones(len(index), dtype=bool)  # of the particles from `stay` on: those that are not taken
+        moved[index[len(gaps) :] - stay] = False
+        fill = stay + np.flatnonzero(moved)[::-1]
+        for array in (*self._axes, self._state, self._ids):
+            array[gaps] = array[fill]
+        self.count = stay
         return taken
 
     def sort_by_cell(self, grid: Grid) -> None:
