@@ -62,7 +62,7 @@ class Values(Mapping[str, Any]):
 
     def part(self, slot: str) -> type[Part]:
         """Return the part that is chosen for a slot."""
-        return choices(slot, self["physics.kind"])[self[slot]]
+        return choices(slot, self["physics.kind"])[self[slot] if "." in slot else ""]
 
     def has(self, trait: str) -> bool:
         """Return whether any chosen part has a trait."""
@@ -211,6 +211,11 @@ class Part:
         return cls.kind
 
     @classmethod
+    def pace(cls, v: Values) -> str:
+        """Return what a physics says of its time step beside the CFL number; nothing: ""."""
+        return ""
+
+    @classmethod
     def brings(cls, v: Values) -> tuple[str, ...]:
         """Return those of `brings_in` that the part brings in with these values."""
         return cls.brings_in
@@ -232,8 +237,8 @@ class Part:
 
     @classmethod
     def signal_speed_of(cls, v: Values) -> float:
-        """Return the speed of the fastest signal relative to the particles."""
-        raise NotImplementedError(f"{cls.__name__} has no signals")
+        """Return the speed of the fastest signal relative to the particles; 0 where there are none."""
+        return 0.0
 
 
 def find(slot: str, kind: str, physics: str | None) -> type[Part] | None:
@@ -289,7 +294,7 @@ def default_of(slot: str, physics: str | None) -> str:
 def chosen(v: Values) -> list[type[Part]]:
     """Return the parts of a scene, in the order of a scene file."""
     physics = v["physics.kind"]
-    return [choices(slot, physics)[v[slot] if "." in slot else ""] for slot in slots(physics)]
+    return [v.part(slot) for slot in slots(physics)]
 
 
 def settings_of(part: type[Part], known: Mapping[str, Any]) -> dict[str, Any]:

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import csv
+import json
 from collections.abc import Callable
+from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -29,7 +33,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
             ended = run_ranks(ranks, PROGRAM, str(place))
             assert ended.returncode == 0, ended.stdout + ended.stderr
             with np.load(place / "swirl.npz") as arrays:
-                found[ranks] = dict(arrays)
+                found[ranks] = {**arrays, "folder": np.array(str(place)), "said": np.array(ended.stdout)}
         return found[ranks]
 
     return result
@@ -63,3 +67,28 @@ def test_means_weighted_by_the_mass_agree_on_any_ranks(results: Results, ranks: 
     for name in ("nodal_velocity", "nodal_stress"):
         assert np.abs(one[name]).max() > 0.1
         np.testing.assert_allclose(several[name], one[name], atol=1e-12, rtol=0.0)
+
+
+@pytest.mark.parametrize("ranks", [1, 3])
+def test_a_run_of_another_physics_leaves_what_any_run_leaves(results: Results, ranks: int) -> None:
+    """Banner, progress, errors, history, snapshots and pictures work from the names that the physics gives."""
+    found = results(ranks)
+    folder, said = Path(str(found["folder"])) / "run", str(found["said"])
+    assert "max |mass| =" in said and "swirl" in said
+    rows = list(csv.DictReader((folder / "history.csv").read_text().splitlines()))
+    assert list(rows[0])[:4] == ["step", "time", "max_mass", "mass_l1"] and "stress_linf" in rows[0]
+    assert float(rows[0]["mass_l2"]) == float(rows[0]["stress_l2"]) == 0.0
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["status"] == "completed" and set(summary["conserved"]) == {"mass", "stress"}
+    start, end = map(np.array, summary["conserved"]["stress"])
+    np.testing.assert_allclose(end, start, rtol=1e-13)
+    with h5py.File(folder / "particles.h5") as file:
+        (species,) = file["/data/40/particles"].values()
+        assert {"mass", "velocity", "stress"} <= set(species) and set(species["stress"]) == {"xx", "xy", "yx", "yy"}
+        order = np.argsort(species["id"][:])
+        first = next(iter(file["/data/0/particles"].values()))
+        before = np.argsort(first["id"][:])
+        assert np.array_equal(species["stress/xy"][:][order], first["stress/xy"][:][before])
+        assert not np.array_equal(species["position/x"][:][order], first["position/x"][:][before])
+    for picture in ("error.png", "solution.png"):
+        assert (folder / picture).read_bytes().startswith(b"\x89PNG")

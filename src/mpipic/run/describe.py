@@ -6,10 +6,18 @@ from typing import Protocol
 
 from mpipic import parts
 from mpipic.decomposition import process_grid
-from mpipic.parts import Values
 from mpipic.scene.records import Scene
 
 MEGA = 1e6
+LINES = {
+    "grid": ("grid",),
+    "particles": ("particles.layout",),
+    "mapping": ("mapping.basis", "mapping.mass", "gas"),
+    "filter": ("filter.kind",),
+    "step": ("physics.kind",),
+    "initial": ("initial.profile",),
+}
+"""Name of a line to the slots whose parts say it; a physics may lack some."""
 
 
 class Ranks(Protocol):
@@ -41,17 +49,14 @@ def built(scene: Scene) -> list[tuple[str, str]]:
     """Return what the scene builds as (part, description)."""
     values = scene.values
 
-    def words(*slots: str) -> str:
-        return ", ".join(filter(None, (values.part(slot).describe(values) for slot in slots)))
+    present = parts.slots(values["physics.kind"])
 
-    return [
-        ("grid", _section("grid", values)),
-        ("particles", words("particles.layout")),
-        ("mapping", f"{words('mapping.basis', 'mapping.mass')}, {_section('gas', values)}"),
-        ("filter", words("filter.kind")),
-        ("step", words("physics.kind")),
-        ("initial", words("initial.profile")),
-    ]
+    def words(*slots: str) -> str:
+        here = (slot for slot in slots if slot in present)
+        return ", ".join(filter(None, (values.part(slot).describe(values) for slot in here)))
+
+    lines = [(name, words(*slots)) for name, slots in LINES.items()]
+    return [(name, text) for name, text in lines if text]
 
 
 def left_out(scene: Scene) -> list[str]:
@@ -78,8 +83,3 @@ def describe(scene: Scene, comm: Ranks) -> list[tuple[str, str]]:
         ("memory", f"{each}: {total * comm.size / count:.0f} bytes a particle in all"),
         ("per rank", f"{total / MEGA:.1f} MB of arrays, and about 150 MB of libraries"),
     ]
-
-
-def _section(slot: str, values: Values) -> str:
-    """Return the words of a section that is no choice."""
-    return parts.choices(slot, values["physics.kind"])[""].describe(values)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,10 +35,11 @@ def cfl_limit(scene: Scene, comm: MPI.Comm) -> float | None:
     patterns, so that their limit can be a little lower. Movement of the particles can make a scheme grow below this
     limit: that is what `mpipic.analysis.growth` finds. Collective: rank 0 computes, all know.
     """
-    return comm.bcast(_on_one_rank(scene) if comm.rank == 0 else None)
+    find = LIMITS.get(scene.physics.kind)
+    return comm.bcast(find(scene) if find is not None and comm.rank == 0 else None)
 
 
-def _on_one_rank(scene: Scene) -> float | None:
+def _of_acoustics(scene: Scene) -> float | None:
     reach = INTEGRATORS[scene.time.integrator].reach
     if math.isinf(reach) or scene.particle_count is None:
         return None
@@ -94,3 +96,7 @@ def _largest_square(rates: AcousticStep) -> float:
         u = rates.factors[1] * rates.gained(rates.velocity(rates.spread(unit), 0))
         columns[:, node] = rates.own(rates.factors[0] * rates.gained(rates.density(u, 0)))
     return float(np.abs(np.linalg.eigvals(columns)).max())
+
+
+LIMITS: dict[str, Callable[[Scene], float | None]] = {"acoustics": _of_acoustics}
+"""Physics to what finds the limit on one rank; others have none that is known."""

@@ -148,21 +148,17 @@ def _take_steps(
 def banner(simulation: Simulation, path: Path, limit: float | None = None) -> list[tuple[str, str]]:
     """Return what is about to run, as (name, value) lines; `limit` is the scheme's CFL limit where it is known."""
     scene, grid = simulation.scene, simulation.grid
-    built = dict(describe.built(scene))
     ranks = f"{grid.size}, as {' x '.join(map(str, grid.blocks))} blocks" if grid.size > 1 else "1"
     per_cell = simulation.total / grid.node_count
     bound = "" if limit is None else f" (limit {limit:.3g})"
-    courant = (
-        f"CFL {scene.cfl:.4g}{bound}, flow {max(map(abs, scene.gas.flow)) * scene.dt / min(grid.h):.3g} cells a step"
-    )
+    courant = ", ".join(filter(None, [f"CFL {scene.cfl:.4g}{bound}", scene.part("physics.kind").pace(scene.values)]))
+    built = dict(describe.built(scene))
+    built["particles"] = f"{simulation.total:,}, {per_cell:.3g} a cell, layout {scene.particles.layout}"
+    built.pop("initial", None)
     return [
         ("scene", scene.name),
-        ("grid", built["grid"]),
-        ("particles", f"{simulation.total:,}, {per_cell:.3g} a cell, layout {scene.particles.layout}"),
+        *built.items(),
         ("ranks", ranks),
-        ("mapping", built["mapping"]),
-        ("filter", built["filter"]),
-        ("step", built["step"]),
         ("steps", f"{scene.time.steps} of dt = {scene.dt:.6g}: {courant}"),
         ("left out", ", ".join(describe.left_out(scene))),
         ("output", str(path)),

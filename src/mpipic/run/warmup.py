@@ -27,13 +27,15 @@ def compile_loops(scene: Scene) -> None:
     physics = physics_of(small)
     grid = Grid(small.grid.cells, small.grid.length, MPI.COMM_SELF, scene.mapping.basis)
     particles = Particles(grid.h, physics.fields(dim))
-    # evenly spread and not at rest: solvers must have something to iterate on
+    # evenly spread, and no field 0 all over: solvers must have something to iterate on
     axes = [(np.arange(4) + 0.5) / 2] * dim
     coordinate = np.stack([x.ravel() for x in np.meshgrid(*axes)], axis=1)
     count = len(coordinate)
     width = particles.state.shape[1]
     state = np.sin(np.arange(1.0, count * width + 1)).reshape(count, width)
     particles.append(grid.wrapped(coordinate), state, np.arange(count))
+    for name, values in (physics.initial(particles.position) or {}).items():
+        particles[name] = np.where(values == 0.0, particles[name], values)
     physics.place(grid, particles, Phases())
     physics.step()
     if scene.output.report_at:

@@ -91,6 +91,11 @@ class Acoustics(Physics):
         return float(v["gas.sound_speed"])
 
     @classmethod
+    def pace(cls, v: Values) -> str:
+        """Return how far the flow carries particles in a step."""
+        return f"flow {max(map(abs, v['gas.flow'])) * v.dt / min(v.h):.3g} cells a step"
+
+    @classmethod
     def particle_doubles(cls, v: Values) -> int:
         """Return density and velocity."""
         return 1 + v.dim
