@@ -12,7 +12,6 @@ from types import SimpleNamespace
 from unittest import mock
 
 import numpy as np
-from mpi4py import MPI
 
 from mpipic.errors import OutputError
 from mpipic.io import hdf5, snapshots
@@ -20,8 +19,9 @@ from mpipic.io.particle_file import ParticleFileError, read_particle_file
 from mpipic.io.run_directory import RunDirectory
 from mpipic.io.snapshots import ParticleSeries
 from mpipic.plots.sample import gather_sample
+from mpipic.runtime import start
 
-COMM = MPI.COMM_WORLD
+COMM = start()
 TOTAL = 2003
 
 

@@ -10,7 +10,7 @@ from petsc4py import PETSc
 from dense_helpers import Dense, close
 from mpipic.analysis import growth as growth_module
 from mpipic.analysis.growth import Monodromy, analyse
-from mpipic.analysis.growth_map import parse_axis, with_flow, with_value
+from mpipic.analysis.growth_map import MapAxis, MapPoint, by_filter, parse_axis, with_flow, with_value
 from mpipic.analysis.recurrence import Recurrence, find, nearest_flows
 from mpipic.run.limits import cfl_limit
 from mpipic.scene.records import Scene, SceneError
@@ -217,6 +217,29 @@ def test_a_map_axis_is_read_and_put_into_the_scene():
     for wrong in ("gas.flow", "gas.flow=1:2", "gas.flow=a:b:3", "gas.flow=0:1:0"):
         with pytest.raises(SceneError, match="FROM:TO:COUNT"):
             parse_axis(wrong)
+
+
+def test_a_map_holds_the_growth_of_a_point_in_the_row_of_its_x_and_the_column_of_its_y():
+    axes = [MapAxis("gas.flow", (0.1, 0.2)), MapAxis("time.cfl", (0.3, 0.4))]
+    growths = {(0.1, 0.3): 1.0, (0.1, 0.4): 2.0, (0.2, 0.3): None, (0.2, 0.4): 4.0}
+    found = [MapPoint("local", *at, (0.1,), growth, 1, None, "") for at, growth in growths.items()]
+    found.append(MapPoint("none", 0.2, 0.3, (0.1,), 5.0, 1, None, ""))
+    maps = by_filter(axes, found)
+    np.testing.assert_array_equal(maps["local"], [[1.0, 2.0], [np.nan, 4.0]])
+    np.testing.assert_array_equal(maps["none"], [[np.nan, np.nan], [5.0, np.nan]])
+
+
+def test_growth_and_its_bound_do_not_depend_on_the_gas():
+    """In units of length and c, ρ / ρ₀ and u / c obey the same equations in any gas; M and its norm are of these."""
+    found = []
+    for speed, density in ((1.0, 1.0), (3.0, 0.5)):
+        gas = {"sound_speed": speed, "density": density, "flow": [0.5 * speed]}
+        made = scene(grid={"cells": [8]}, particles={"layout": "random", "per_cell": [2]}, gas=gas,
+                     filter={"kind": "none"}, time={"cfl": 0.25})  # fmt: skip
+        found.append(analyse(made, COMM, 100))
+    assert found[0].norm_bound > found[0].growth_per_step > 1e-3
+    for name in ("growth_per_step", "norm_bound"):
+        assert getattr(found[1], name) == pytest.approx(getattr(found[0], name), rel=1e-9)
 
 
 def test_predicted_steps_follow_from_the_growth():

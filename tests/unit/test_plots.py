@@ -12,6 +12,7 @@ import pytest
 from mpi4py import MPI
 
 from covering_helpers import covering
+from mpipic.plots.growth_map import Scale, draw_map
 from mpipic.plots.history import draw_error
 from mpipic.plots.sample import gather_sample
 from mpipic.plots.solution import draw_solution
@@ -194,3 +195,18 @@ def test_huge_ids_do_not_overflow() -> None:
         warnings.simplefilter("error")
         ids = np.arange(1000) + (2**62)
         assert 90 <= len(gather_sample(of_ids(ids), COMM, 100)["ids"]) <= 100
+
+
+def test_a_map_of_growth_has_a_panel_a_filter_and_crosses_where_none_was_found(
+    tmp_path: Path, figures: list[Any]
+) -> None:
+    x, y = Scale("gas.flow", np.array([0.1, 0.2, 0.3])), Scale("time.cfl", np.array([0.4, 0.5]))
+    growth = {"none": np.arange(1.0, 7.0).reshape(3, 2) * 1e-3, "local": np.zeros((3, 2))}
+    growth["none"][2, 0] = np.nan
+    draw_map(tmp_path / "m.png", x, y, growth, 2e-3, "title")
+    none, local = (axes for axes in figures[0].axes if axes.get_title())
+    drawn = np.ma.filled(none.collections[0].get_array(), np.nan).reshape(2, 3)
+    assert np.array_equal(drawn, growth["none"].T, equal_nan=True)
+    assert [list(line.get_xydata()[0]) for line in none.lines if len(line.get_xydata())] == [[0.3, 0.4]]
+    assert np.all(local.collections[0].get_array() == 1e-9) and not len(local.lines[0].get_xydata())
+    assert (none.get_title(), none.get_xlabel(), none.get_ylabel()) == ("none", "gas.flow", "time.cfl")

@@ -133,12 +133,17 @@ def _draw(path: Path, axes: Sequence[MapAxis], found: Sequence[MapPoint], title:
     from mpipic.plots.growth_map import Scale, draw_map
 
     x, y = (Scale(axis.key, np.array(axis.values)) for axis in axes)
+    draw_map(path, x, y, by_filter(axes, found), BORDER, title)
+
+
+def by_filter(axes: Sequence[MapAxis], found: Sequence[MapPoint]) -> dict[str, FloatArray]:
+    """Return name of a filter to growth, (nx, ny) for the values of the two axes, nan where none was found."""
     growth: dict[str, FloatArray] = {}
     for point in found:
-        values = growth.setdefault(point.filter, np.full((len(x.values), len(y.values)), np.nan))
+        values = growth.setdefault(point.filter, np.full((len(axes[0].values), len(axes[1].values)), np.nan))
         if point.growth is not None:
             values[axes[0].values.index(point.x), axes[1].values.index(point.y)] = point.growth
-    draw_map(path, x, y, growth, BORDER, title)
+    return growth
 
 
 def _write(path: Path, axes: Sequence[MapAxis], found: Sequence[MapPoint]) -> None:
