@@ -152,13 +152,13 @@ def banner(simulation: Simulation, path: Path, limit: float | None = None) -> li
     per_cell = simulation.total / grid.node_count
     bound = "" if limit is None else f" (limit {limit:.3g})"
     courant = ", ".join(filter(None, [f"CFL {scene.cfl:.4g}{bound}", scene.part("physics.kind").pace(scene.values)]))
+    particles = f"{simulation.total:,}, {per_cell:.3g} a cell, layout {scene.particles.layout}"
     built = dict(describe.built(scene))
-    built["particles"] = f"{simulation.total:,}, {per_cell:.3g} a cell, layout {scene.particles.layout}"
-    built.pop("initial", None)
+    first = {"grid": built.pop("grid"), "particles": particles, "ranks": ranks}
     return [
         ("scene", scene.name),
-        *built.items(),
-        ("ranks", ranks),
+        *first.items(),
+        *((name, words) for name, words in built.items() if name not in ("particles", "initial")),
         ("steps", f"{scene.time.steps} of dt = {scene.dt:.6g}: {courant}"),
         ("left out", ", ".join(describe.left_out(scene))),
         ("output", str(path)),
