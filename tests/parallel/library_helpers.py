@@ -100,7 +100,7 @@ def run_case(dim: int, distribution: str) -> dict[str, np.ndarray] | None:
     assert all(len(values) == len(mine) for values in back.values())
     assert np.array_equal(scalar, whole["scalar"][ids]) and np.array_equal(placement.position, whole["position"][ids])
     sums = COMM.allreduce(grid.owned(mapping.sums(vector)).reshape(-1, 3).sum(axis=0))
-    weights = COMM.allreduce(float(grid.owned(mapping.weights).sum()))
+    weights = COMM.allreduce(float(grid.owned(mapping.row_sums).sum()))
     result = in_order_of_ids(mine, ids=mine, holder=np.full(len(mine), COMM.rank), **back)
     return None if result is None else {**result, "sums": sums, "weights": np.array(weights)}
 

@@ -65,7 +65,7 @@ def test_a_mapping_of_any_particles_is_that_of_the_dense_matrices(case):
     mapping, n = Mapping(grid, position), len(position)
     q, nodal = numbers[:n, :2], numbers[: grid.node_count, : grid.dim] * grid.h
     ghosts = ghosted(grid, nodal)
-    weights = on_nodes(grid, mapping.weights)
+    weights = on_nodes(grid, mapping.row_sums)
     assert np.all(weights >= 0.0) and abs(weights.sum() - n) <= 1e-14 * n
     close(weights, dense.d)
     sums = on_nodes(grid, mapping.sums(q))
@@ -90,7 +90,7 @@ def test_a_sweep_of_any_particles_is_that_of_the_dense_matrices(case):
     state, nodal = numbers[:n, : 1 + grid.dim], numbers[: grid.node_count, : grid.dim] * grid.h
     sweep = sweep_of(grid, position, state[:, 0], state[:, 1:])
     close(on_nodes(grid, sweep.held_sums[:, :-1].copy()), dense.phi.T @ state, scale=np.abs(state).sum())
-    weights = on_nodes(grid, sweep.weights)
+    weights = on_nodes(grid, sweep.row_sums)
     assert np.all(weights >= 0.0) and abs(weights.sum() - n) <= 1e-14 * n
     close(weights, dense.d)
     gram = gram_matrix(sweep)

@@ -40,7 +40,7 @@ def test_the_shape_functions_add_up_to_one(dim, name):
     grid, position, mapping = mapping_at(dim, name)
     ones = ghosted(grid, np.ones(grid.node_count))
     close(mapping.g2p(ones), np.ones(len(position)), 1e-15 * 4)
-    assert on_nodes(grid, mapping.weights).sum() == pytest.approx(len(position), rel=1e-14)
+    assert on_nodes(grid, mapping.row_sums).sum() == pytest.approx(len(position), rel=1e-14)
 
 
 @every_dimension

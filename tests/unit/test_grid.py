@@ -180,7 +180,7 @@ def test_no_particle_that_moves_next_to_where_the_last_cell_ends_is_lost(n, move
         sweep.advance(grid.zeros(2), (1.0, 1.0))
         cell = grid.cell_of(sweep.particles.coordinate)
         assert np.all((cell >= 0) & (cell < n)) and np.all(sweep.particles.coordinate >= -tolerance)
-        assert grid.owned(sweep.weights).sum() == pytest.approx(len(x), rel=1e-13)
+        assert grid.owned(sweep.row_sums).sum() == pytest.approx(len(x), rel=1e-13)
 
 
 def test_on_one_rank_all_is_its_own():

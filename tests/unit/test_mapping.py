@@ -29,7 +29,7 @@ def test_sums_and_row_sums_are_the_transpose_of_phi(box, name):
     grid, position, dense = case(box, name)
     mapping, q = Mapping(grid, position), values(len(position), 2)
     close(on_nodes(grid, mapping.sums(q)), dense.phi.T @ q, scale=np.abs(q).max() * dense.d.max())
-    close(on_nodes(grid, mapping.weights), dense.d)
+    close(on_nodes(grid, mapping.row_sums), dense.d)
 
 
 @any_case
@@ -72,7 +72,7 @@ def test_few_particles_leave_nodes_empty_and_the_patterns_are_what_they_say():
 def test_p2g_conserves_the_weighted_sum(box, name):
     grid, position, _ = case(box, name)
     mapping, q = Mapping(grid, position), values(len(position))
-    total = np.sum(on_nodes(grid, mapping.weights) * on_nodes(grid, mapping.p2g(q)))
+    total = np.sum(on_nodes(grid, mapping.row_sums) * on_nodes(grid, mapping.p2g(q)))
     assert total == pytest.approx(q.sum(), abs=1e-13 * np.abs(q).sum())
 
 
@@ -126,7 +126,7 @@ def test_an_updated_mapping_is_that_of_the_new_positions(dim):
     assert not np.allclose(moved.p2g(q), fresh.p2g(q))
     moved.update(second)
     assert np.array_equal(moved.p2g(q), fresh.p2g(q))
-    assert np.array_equal(moved.weights, fresh.weights)
+    assert np.array_equal(moved.row_sums, fresh.row_sums)
 
 
 @every_dimension
@@ -173,7 +173,7 @@ def test_with_weights_sums_row_sums_and_means_are_the_weighted_matrices(box, nam
     mapping, q = Mapping(grid, position, weight), values(len(position), 2)
     sums = on_nodes(grid, mapping.sums(q))
     close(sums, dense.phi.T @ (weight[:, None] * q), scale=np.abs(q).max() * dense.d.max())
-    close(on_nodes(grid, mapping.weights), dense.d)
+    close(on_nodes(grid, mapping.row_sums), dense.d)
     means = on_nodes(grid, mapping.p2g(q))
     wanted = [np.average(q, axis=0, weights=weight * phi) for phi in dense.phi.T[dense.seen]]
     close(means[dense.seen], wanted, scale=np.abs(q).max())
@@ -206,9 +206,9 @@ def test_equal_weights_are_as_good_as_none(dim):
     q, plain = values(len(position)), Mapping(grid, position)
     assert plain.weight is None
     ones, others = (Mapping(grid, position, np.full(len(position), w)) for w in (1.0, 2.5))
-    assert np.array_equal(ones.p2g(q), plain.p2g(q)) and np.array_equal(ones.weights, plain.weights)
+    assert np.array_equal(ones.p2g(q), plain.p2g(q)) and np.array_equal(ones.row_sums, plain.row_sums)
     close(others.p2g(q), plain.p2g(q), 1e-14)
-    close(others.weights, 2.5 * plain.weights, 1e-14)
+    close(others.row_sums, 2.5 * plain.row_sums, 1e-14)
 
 
 @every_dimension
@@ -263,12 +263,12 @@ def test_weights_of_the_wrong_shape_are_refused(shape):
 def test_a_refused_update_leaves_the_mapping_as_it_was(wrong):
     grid, position, weight, _ = weighted_case("2D", "random")
     mapping, q = Mapping(grid, position, weight), values(len(position))
-    before = mapping.p2g(q), mapping.g2p(mapping.weights), mapping.version
+    before = mapping.p2g(q), mapping.g2p(mapping.row_sums), mapping.version
     moved, weight = position[::-1].copy(), weight.copy()
     (weight if wrong == "weight" else moved)[3] = np.nan
     with np.errstate(invalid="ignore"), pytest.raises(ValueError, match="rank 0: "):
         mapping.update(moved, weight)
-    after = mapping.p2g(q), mapping.g2p(mapping.weights), mapping.version
+    after = mapping.p2g(q), mapping.g2p(mapping.row_sums), mapping.version
     assert all(np.array_equal(one, other) for one, other in zip(before, after))
 
 

@@ -89,7 +89,7 @@ def test_positions_at_the_very_edges_of_the_box_are_placed(dim):
     edges = np.array([np.zeros(dim), np.nextafter(length, 0.0), np.full(dim, 5e-324), -np.zeros(dim)])
     placement = Placement(grid, edges)
     mapping = mpipic.Mapping(grid, placement.position)
-    weights = grid.owned(mapping.weights)
+    weights = grid.owned(mapping.row_sums)
     assert weights.flat[0] == pytest.approx(4.0, rel=1e-12) and weights.sum() == pytest.approx(4.0, rel=1e-12)
 
 

@@ -59,7 +59,7 @@ def agrees_with_the_dense_matrices(sweep, tolerance=1e-12):
     sums = np.concatenate(sweep.state_sums, axis=1)
     scale = dense.d.max() * np.abs(state).max()
     close(on_nodes(grid, sums), dense.phi.T @ state, tolerance, scale=scale)
-    close(on_nodes(grid, sweep.weights), dense.d, tolerance)
+    close(on_nodes(grid, sweep.row_sums), dense.d, tolerance)
     close(gram_matrix(sweep), dense.G, tolerance)
     close(matrix_of(grid, sweep), dense.G, tolerance)
     nodal = values(grid.node_count, grid.dim) * grid.h
@@ -158,7 +158,7 @@ def test_on_the_linear_basis_it_does_what_the_linear_sweep_does(dim, flow, name)
     for step in range(40):
         close(other.held_sums, one.held_sums, 1e-13)
         nodal = values(grid.node_count, 1 + dim, seed=step)
-        scale = one.weights.max() * max(grid.inverse_h) * 4.0
+        scale = one.row_sums.max() * max(grid.inverse_h) * 4.0
         difference = gradient_sums(other, nodal[:, 0]) - gradient_sums(one, nodal[:, 0])
         close(difference, np.zeros_like(difference), 1e-13, scale=scale)
         difference = divergence_sums(other, nodal[:, 1:]) - divergence_sums(one, nodal[:, 1:])
@@ -209,11 +209,11 @@ def test_sums_add_to_what_is_there(basis, dim):
 @every_dimension
 def test_particles_at_rest_are_weighed_and_sorted_once(basis, dim):
     sweep = spline_sweep(basis, BOXES, dim, "random", "at rest")
-    weights, version = sweep.weights.copy(), sweep.version
+    weights, version = sweep.row_sums.copy(), sweep.version
     for step in range(20):
         sweep.advance(ghosted(sweep.grid, values(sweep.grid.node_count, 1 + dim, seed=step)), (0.1, 0.1))
     assert not sweep.moving and sweep.sorts == 1 and sweep.version == version
-    assert np.array_equal(sweep.weights, weights)
+    assert np.array_equal(sweep.row_sums, weights)
     agrees_with_the_dense_matrices(sweep)
 
 

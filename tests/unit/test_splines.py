@@ -98,7 +98,7 @@ def test_halfway_between_nodes_a_quadratic_turns_to_the_node_on_the_right(offset
 def test_sums_and_means_are_the_dense_ones(basis, box, name):
     grid, dense, mapping = case(basis, box, name)
     q = values(mapping.count, 2)
-    close(on_nodes(grid, mapping.weights), dense.d)
+    close(on_nodes(grid, mapping.row_sums), dense.d)
     close(on_nodes(grid, mapping.sums(q)), dense.phi.T @ q, scale=dense.d.max() * np.abs(q).max())
     means = on_nodes(grid, mapping.p2g(q[:, 0]))
     weighty = dense.d > 1e-3 * dense.d.max()
@@ -132,7 +132,7 @@ def test_the_gram_matrix_is_the_dense_one(basis, box, name):
 def test_what_particles_count_weighs_sums_means_and_the_gram_matrix(basis, box):
     grid, dense, mapping = case(basis, box, "random", weighted=True)
     q, nodal = values(mapping.count, 2), values(grid.node_count, 1)
-    close(on_nodes(grid, mapping.weights), dense.d)
+    close(on_nodes(grid, mapping.row_sums), dense.d)
     close(on_nodes(grid, mapping.sums(q)), dense.transposed @ q, scale=dense.d.max() * 4.0)
     close(on_nodes(grid, mapping.p2g(q)), dense.S @ q, 1e-10, scale=4.0)
     close(on_nodes(grid, mapping.gram.apply(ghosted(grid, nodal))), dense.G @ nodal, scale=dense.d.max() * 4.0)
@@ -173,4 +173,4 @@ def test_constants_have_themselves_as_values_and_no_slopes(basis, box, name):
     close(mapping.g2p(ones), np.ones(mapping.count), 1e-14)
     slopes = mapping.gradient(ones) * grid.h
     close(slopes, np.zeros_like(slopes), 1e-14, scale=1.0)
-    assert on_nodes(grid, mapping.weights).sum() == pytest.approx(mapping.count, rel=1e-13)
+    assert on_nodes(grid, mapping.row_sums).sum() == pytest.approx(mapping.count, rel=1e-13)

@@ -41,7 +41,7 @@ def test_a_sweep_sums_the_state_as_the_dense_matrices_do(box, name):
     scale = dense.d.max() * max(np.abs(density).max(), np.abs(velocity).max())
     close(on_nodes(grid, rho)[:, 0], dense.phi.T @ density, scale=scale)
     close(on_nodes(grid, u), dense.phi.T @ velocity, scale=scale)
-    close(on_nodes(grid, sweep.weights), dense.d)
+    close(on_nodes(grid, sweep.row_sums), dense.d)
     means = on_nodes(grid, sweep.divide(u))
     close(means, dense.S @ velocity, scale=np.abs(velocity).max())
     assert np.all(means[~dense.seen] == 0.0)
@@ -103,7 +103,7 @@ def test_rows_of_nodes_that_hardly_see_a_particle_are_right_relative_to_themselv
     grid, position, dense = faint_case(dim, side, crowd)
     seen, q = dense.seen, values(crowd)
     mapping, sweep = Mapping(grid, position), sweep_of(grid, position, q)
-    for weights in (mapping.weights, sweep.weights):
+    for weights in (mapping.row_sums, sweep.row_sums):
         weights = on_nodes(grid, weights)
         close(weights[seen] / dense.d[seen], np.ones(seen.sum()))
         assert np.all(weights[~seen] == 0.0)
@@ -153,7 +153,7 @@ def agrees_with_a_new_one(sweep, tolerance=1e-12):
     position, density, velocity = by_id(sweep.particles)
     fresh = sweep_of(grid, position, density, velocity)
     close(sweep.held_sums, fresh.held_sums, tolerance)
-    close(sweep.weights, fresh.weights, tolerance)
+    close(sweep.row_sums, fresh.row_sums, tolerance)
     nodal = values(grid.node_count, grid.dim)
     close(gram_times(sweep, nodal), gram_times(fresh, nodal), tolerance)
     close(gradient_sums(sweep, nodal[:, 0]), gradient_sums(fresh, nodal[:, 0]), tolerance)
@@ -202,11 +202,11 @@ def test_after_many_steps_a_sweep_is_still_that_of_its_particles(dim, move, name
 def test_particles_at_rest_are_weighed_and_sorted_once(dim):
     grid, position, density, velocity, _ = moving_case(dim, "random", "at rest")
     sweep = sweep_of(grid, position, density, velocity)
-    weights, gram = sweep.weights.copy(), gram_matrix(sweep)
+    weights, gram = sweep.row_sums.copy(), gram_matrix(sweep)
     assert not sweep.moving
     for step in range(30):
         sweep.advance(ghosted(grid, values(grid.node_count, 1 + dim, seed=step)), (0.1, 0.1))
-    assert np.array_equal(sweep.weights, weights) and np.array_equal(gram_matrix(sweep), gram)
+    assert np.array_equal(sweep.row_sums, weights) and np.array_equal(gram_matrix(sweep), gram)
     assert sweep.sorts == 1
     agrees_with_a_new_one(sweep)
 

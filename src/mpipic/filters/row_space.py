@@ -161,7 +161,7 @@ def _transposed_matrix(mapping: NodalMapping, each: FloatArray) -> PETSc.Mat:
     node = np.empty((mapping.count, corners), dtype=np.int64)
     value = np.empty((mapping.count, corners))
     spline.shape_functions(grid.degree, *mapping.located, grid.padded_shape, grid.layout, node, value)
-    value *= each[:, None] * mapping.inverse_weights[node]
+    value *= each[:, None] * mapping.inverse_row_sums[node]
     sizes = ((mapping.count, comm.allreduce(mapping.count)), (grid.local_cells, grid.node_count))
     matrix = PETSc.Mat().createAIJ(sizes, nnz=corners, comm=comm)
     starts = np.arange(mapping.count + 1) * corners

@@ -10,6 +10,7 @@ x, over contiguous memory.
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from mpipic.kernels.common import U, hot, inlined, inner
 
@@ -17,14 +18,14 @@ NODES_AT_ONCE = 2048
 ROWS_AT_ONCE = 64
 
 
-def half_stencil(dim, reach=1):
+def half_stencil(dim: int, reach: int = 1) -> npt.NDArray[np.int64]:
     """Offsets (h, 3) of half of the (2 reach + 1)^d nodes around one, x first: itself, then those that follow it."""
     spans = [range(-reach, reach + 1) if a < dim else (0,) for a in range(3)]
     every = [(i, j, k) for k in spans[2] for j in spans[1] for i in spans[0]]
     return np.array(every[len(every) // 2 :], dtype=np.int64)
 
 
-def moment_terms(dim):
+def moment_terms(dim: int) -> npt.NDArray[np.int64]:
     """Where the pair moments of a cell go: rows (moment, diagonal, i, j, k): its entry at node (i, j, k) of the cell.
 
     Along an axis, pairs 0 and 2 belong to the lower and upper node alone, pair 1 couples the two.

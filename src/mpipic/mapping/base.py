@@ -25,9 +25,9 @@ class NodalMapping(ABC):
     Attributes
     ----------
     grid
-    weights : (local_nodes,)
+    row_sums : (local_nodes,)
         Row sums d, right on own and ghost nodes.
-    inverse_weights : (local_nodes,)
+    inverse_row_sums : (local_nodes,)
         1 / d, 0 on nodes that no particle sees.
     version : int
         Counts changes of positions.
@@ -45,8 +45,8 @@ class NodalMapping(ABC):
     """
 
     grid: Grid
-    weights: FloatArray
-    inverse_weights: FloatArray
+    row_sums: FloatArray
+    inverse_row_sums: FloatArray
     version: int
     gram: Gram
     phase: Callable[[str], None]
@@ -148,13 +148,13 @@ class NodalMapping(ABC):
         self.phase("nodes")
         result = np.empty(sums.shape) if out is None else out
         wide, into = (a if a.ndim == 2 else a.reshape(len(a), -1) for a in (sums, result))
-        generic.scale_rows(wide, self.inverse_weights, into)
+        generic.scale_rows(wide, self.inverse_row_sums, into)
         return result
 
     def divide_changed(self, sums: FloatArray, scale: float, change: FloatArray, out: FloatArray) -> FloatArray:
         """Return diag(d)⁻¹ (sums + scale change), (local_nodes, k); `out` may be `change`. Local."""
         self.phase("nodes")
-        generic.scale_changed(sums, scale, change, self.inverse_weights, out)
+        generic.scale_changed(sums, scale, change, self.inverse_row_sums, out)
         return out
 
     def complete(self, sums: FloatArray) -> FloatArray:

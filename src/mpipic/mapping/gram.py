@@ -40,7 +40,7 @@ class GramSource(Protocol):
     """What G is made of: what a mapping gives."""
 
     grid: Grid
-    weights: FloatArray
+    row_sums: FloatArray
     version: int
 
     @property

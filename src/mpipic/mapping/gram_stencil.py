@@ -129,7 +129,7 @@ class GramStencil:
         """Return what the penalty adds to every diagonal. Collective; one reduction, none without a penalty."""
         constants = np.zeros(len(self.offsets))
         if self.penalty is not None:
-            total = self.grid.reduce(np.array([self.grid.owned(self.mapping.weights).sum()]))[0]
+            total = self.grid.reduce(np.array([self.grid.owned(self.mapping.row_sums).sum()]))[0]
             couplings = self.penalty.couplings() * (total / self.grid.node_count)
             constants[0] = self.grid.dim * couplings[0]
             for axis in range(self.grid.dim):

@@ -90,9 +90,9 @@ class Mapping(NodalMapping):
         (self._cell, self._fraction), self._weight = located, checked
         self.version += 1
         self._moments: FloatArray | None = None
-        self.weights = self.sums(np.ones(len(self._cell)))
-        self.inverse_weights = np.empty_like(self.weights)
-        generic.invert(self.weights, self.inverse_weights)
+        self.row_sums = self.sums(np.ones(len(self._cell)))
+        self.inverse_row_sums = np.empty_like(self.row_sums)
+        generic.invert(self.row_sums, self.inverse_row_sums)
 
     @property
     def moments(self) -> FloatArray | None:
@@ -121,7 +121,7 @@ class Mapping(NodalMapping):
     @property
     def nbytes(self) -> int:
         """Bytes of what is kept for each particle, cell and node."""
-        arrays = (self._cell, self._fraction, self.weights, self.inverse_weights, self._moments, self._weight)
+        arrays = (self._cell, self._fraction, self.row_sums, self.inverse_row_sums, self._moments, self._weight)
         return self.gram.nbytes + sum(a.nbytes for a in arrays if a is not None)
 
 

@@ -287,7 +287,7 @@ class PenalisedMass(LeastSquaresMass):
     def node_doubles(cls, v: Values) -> int:
         """Return what least squares keep, and the neighbours along the axes that only the penalty couples."""
         beyond = max(0, v["mapping.penalty_order"] - BASES[v["mapping.basis"]].degree)
-        return super().node_doubles(v) + 2 * v.dim * beyond
+        return int(super().node_doubles(v) + 2 * v.dim * beyond)
 
 
 MASSES: Choices[Mass] = Choices(Mass)
@@ -300,7 +300,7 @@ def gram_doubles(v: Values) -> int:
     They are the stencil by rows and by diagonals, and for every column that is solved for PETSc's vectors.
     """
     half = ((2 * BASES[v["mapping.basis"]].degree + 1) ** v.dim + 1) // 2
-    return 2 * half + 2 + 5 * (1 + v.dim)
+    return int(2 * half + 2 + 5 * (1 + v.dim))
 
 
 def _itself(fields: FloatArray) -> FloatArray:

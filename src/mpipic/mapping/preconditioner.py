@@ -62,7 +62,7 @@ class TensorPreconditioner:
         self._values = PaddedColumns(self.halo)
         shape = self.halo.ghost_shape
         self._plane, self._line = np.empty(int(np.prod(shape[:2]))), np.empty(shape[0])
-        self.weights = np.eye(1, self._reach + 1).repeat(3, axis=0)
+        self.stencils = np.eye(1, self._reach + 1).repeat(3, axis=0)
         self._tilt: FloatArray | None = None
         self._version = -1
 
@@ -80,11 +80,11 @@ class TensorPreconditioner:
         padded = None
         if tilt and matrix.penalty is None:
             with np.errstate(divide="ignore", invalid="ignore"):
-                ratio = matrix.root**2 / matrix.grid.nodes.own(matrix.mapping.weights).ravel()
+                ratio = matrix.root**2 / matrix.grid.nodes.own(matrix.mapping.row_sums).ravel()
             self._tilt = np.where(matrix.root > 0.0, ratio, 0.0) ** (0.5 * tilt)
             padded = matrix.load(self._tilt[None])[0]
         for axis, couplings in enumerate(matrix.axis_means(padded)):
-            self.weights[axis] = inverse_stencil(couplings, self._reach)
+            self.stencils[axis] = inverse_stencil(couplings, self._reach)
 
     def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """y = the stencils times x, as PETSc calls it."""
@@ -95,7 +95,7 @@ class TensorPreconditioner:
             columns = out.reshape(own.shape)
             for column, padded in zip(columns, values, strict=True):
                 stencil.convolve(
-                    padded, self.weights, matrix.shape, self.halo.layout, self._plane, self._line, column
+                    padded, self.stencils, matrix.shape, self.halo.layout, self._plane, self._line, column
                 )  # fmt: skip
             if self._tilt is not None:
                 columns *= self._tilt

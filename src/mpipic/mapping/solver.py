@@ -211,7 +211,7 @@ class GramSolver:
         for first, end in zip(ends - quantities, ends, strict=True):
             sizes[first:end] = sizes[first:end].max()
         right /= sizes[:, None]
-        weights = self._weights(right, quantities)
+        weights = self._balance(right, quantities)
         with system.b as b:
             np.multiply(right, weights[:, None], out=b.reshape(right.shape))
         earlier = [
@@ -235,7 +235,7 @@ class GramSolver:
         answer[~finite] = np.nan
         return answer, int(system.ksp.getIterationNumber())
 
-    def _weights(self, right: FloatArray, quantities: Sequence[int]) -> FloatArray:
+    def _balance(self, right: FloatArray, quantities: Sequence[int]) -> FloatArray:
         """Powers of two that bring quantities of size 1 to norm 1, so that all weigh alike, by column. Collective."""
         weights = np.ones(len(quantities))
         if len(quantities) > 1:

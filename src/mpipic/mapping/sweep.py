@@ -39,7 +39,7 @@ class ParticleSweep(NodalMapping):
     ----------
     held_sums : (local_nodes, d + 2)
         Φᵀ(scalar), Φᵀ(vector), d; right on own and ghost nodes.
-    weights : (local_nodes,)
+    row_sums : (local_nodes,)
         The row sums d, by themselves.
     peak : float
         Largest |scalar| of this rank's particles when last touched, NaN if any is.
@@ -68,8 +68,8 @@ class ParticleSweep(NodalMapping):
         self.routes = migration.Routes(grid, reach) if migration.can_leave(grid, reach) else None
         self.gram = Gram(self)
         self.held_sums = grid.zeros(grid.dim + 2)
-        self.weights = self.held_sums[:, -1]
-        self.inverse_weights = np.empty(grid.local_nodes)
+        self.row_sums = self.held_sums[:, -1]
+        self.inverse_row_sums = np.empty(grid.local_nodes)
         self.version = 0
         self.leaving = np.empty(max(1024, particles.count // 16), dtype=np.int64)
         self.peak = 0.0
@@ -123,7 +123,7 @@ class ParticleSweep(NodalMapping):
     @property
     def nbytes(self) -> int:
         """Bytes of the nodal sums, of G where it is assembled, and of the list of leavers."""
-        return self.gram.nbytes + sum(a.nbytes for a in (self.held_sums, self.inverse_weights, self.leaving))
+        return self.gram.nbytes + sum(a.nbytes for a in (self.held_sums, self.inverse_row_sums, self.leaving))
 
     # ------------------------------------------------------------ on particles
 
@@ -192,7 +192,7 @@ class ParticleSweep(NodalMapping):
         """Make the sums right on own and ghost nodes; the row sums too if `weigh`. Collective on neighbours."""
         if weigh:
             self.complete(self.held_sums)
-            generic.invert(self.weights, self.inverse_weights)
+            generic.invert(self.row_sums, self.inverse_row_sums)
         else:
             # the row sums are complete already, on ghosts too: summing the halo again would count them twice
             state = np.ascontiguousarray(self.held_sums[:, :-1])

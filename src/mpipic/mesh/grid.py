@@ -24,7 +24,7 @@ from petsc4py import PETSc
 from mpipic.arrays import FloatArray
 from mpipic.decomposition import process_grid
 from mpipic.mesh.basis import BASES
-from mpipic.mesh.halo import Halo
+from mpipic.mesh.halo import Halo, Nodes
 
 ON_NODE = 1e-10
 """A particle within this many cells of a node counts as on it, so that rounding never decides the side."""
@@ -128,7 +128,7 @@ class Grid:
         """Return a nodal array of zeros, shape (local_nodes, columns). Local."""
         return np.zeros((self.local_nodes, columns))
 
-    def owned(self, nodal: np.ndarray) -> np.ndarray:
+    def owned(self, nodal: Nodes) -> Nodes:
         """Return a view of a nodal array's own nodes, owned_shape + (*shape,), axes in x, y, z order. Local."""
         block = self.nodes.own(nodal)
         axes = tuple(reversed(range(self.dim))) + tuple(range(self.dim, block.ndim))

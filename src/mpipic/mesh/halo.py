@@ -8,6 +8,7 @@ however many ranks or periods away.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 from weakref import finalize
 
 import numpy as np
@@ -17,6 +18,8 @@ from petsc4py import PETSc
 
 from mpipic.arrays import FloatArray
 
+Nodes = npt.NDArray[Any]
+"""Nodal arrays of any numbers."""
 Exchange = Callable[[MPI.Datatype, FloatArray, FloatArray, MPI.Op], None]
 
 
@@ -124,16 +127,16 @@ class Halo:
         forest.setUp()
         return forest
 
-    def block(self, array: np.ndarray, reach: tuple[int, int] = (0, 0)) -> np.ndarray:
+    def block(self, array: Nodes, reach: tuple[int, int] = (0, 0)) -> Nodes:
         """Return a view of the own nodes, and `reach` below and above, of an array shaped like ghost_shape reversed."""
         slices = tuple(slice(self.width - reach[0], self.width + n + reach[1]) for n in self.owned_shape)
         return array[slices[::-1]]
 
-    def own(self, padded: np.ndarray) -> np.ndarray:
+    def own(self, padded: Nodes) -> Nodes:
         """Return a view of the own nodes of a padded array (local_nodes, ...): (z, y, x, ...). Local."""
         return padded.reshape(self._padded + padded.shape[1:])[self._own]
 
-    def own_rows(self, rows: np.ndarray) -> np.ndarray:
+    def own_rows(self, rows: Nodes) -> Nodes:
         """Return a view of the own nodes of rows (k, local_nodes): (k, z, y, x), axes there are. Local."""
         return rows.reshape(len(rows), *self._padded)[(slice(None), *self._own)]
 

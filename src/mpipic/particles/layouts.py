@@ -43,7 +43,7 @@ class Layout(Part):
     @classmethod
     def count(cls, v: Values) -> int | None:
         """Return the number of particles; None where a file decides."""
-        return v.cell_count * math.prod(v["particles.per_cell"])
+        return v.cell_count * int(math.prod(v["particles.per_cell"]))
 
     @classmethod
     def describe(cls, v: Values) -> str:
@@ -109,7 +109,7 @@ class Jittered(Layout):
         """Return points of the lattice, moved. Local."""
         turned = 2.0 * uniform(settings["seed"], ids, grid.dim) - 1.0
         offset = turned * settings["jitter"] / np.array(settings["per_cell"])
-        return Lattice.coordinates(grid, ids, per_cell=settings["per_cell"]) + offset
+        return np.asarray(Lattice.coordinates(grid, ids, per_cell=settings["per_cell"]) + offset)
 
 
 class Random(Layout):
@@ -136,7 +136,7 @@ class Random(Layout):
     @staticmethod
     def coordinates(grid: Grid, ids: IntArray, **settings: Any) -> FloatArray:
         """Return independent positions. Local."""
-        return uniform(settings["seed"], ids, grid.dim) * np.array(grid.cells)
+        return np.asarray(uniform(settings["seed"], ids, grid.dim) * np.array(grid.cells))
 
 
 class FromFile(Layout):

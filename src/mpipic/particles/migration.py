@@ -159,7 +159,7 @@ def _blocks_met(starts: IntArray, cells: int, low: float, high: float) -> npt.ND
     spanned = np.ceil(ends + high).astype(np.int64)[:, None] - 1 - lowest
     starts_inside = np.mod(starts[None, :] - lowest, cells) <= spanned
     holds_lowest = np.mod(lowest - starts[None, :], cells) < (ends - starts)[None, :]
-    return starts_inside | holds_lowest
+    return np.asarray(starts_inside | holds_lowest)
 
 
 def migrate(particles: Particles, routes: Routes, leaving: IntArray) -> int:

@@ -71,7 +71,7 @@ class Particles:
     @property
     def position(self) -> FloatArray:
         """Positions in units of length, (n, d), a copy; what counts as on node 0 is there."""
-        return np.maximum(self.coordinate, 0.0) * np.array(self.h)
+        return np.asarray(np.maximum(self.coordinate, 0.0) * np.array(self.h))
 
     @property
     def state(self) -> FloatArray:

@@ -36,7 +36,8 @@ def cfl_limit(scene: Scene, comm: MPI.Comm) -> float | None:
     limit: that is what `mpipic.analysis.growth` finds. Collective: rank 0 computes, all know.
     """
     find = LIMITS.get(scene.physics.kind)
-    return comm.bcast(find(scene) if find is not None and comm.rank == 0 else None)
+    found: float | None = comm.bcast(find(scene) if find is not None and comm.rank == 0 else None)
+    return found
 
 
 def _of_acoustics(scene: Scene) -> float | None:
@@ -50,7 +51,7 @@ def _of_acoustics(scene: Scene) -> float | None:
         return None
     if not frequency > 0.0:
         return None
-    return reach * scene.gas.sound_speed / (frequency * min(scene.h))
+    return float(reach * scene.gas.sound_speed / (frequency * min(scene.h)))
 
 
 def _piece(scene: Scene) -> Scene:

@@ -147,7 +147,7 @@ def _products(tables: list[FloatArray], n: int) -> FloatArray:
 
 def wrap(s: FloatArray) -> FloatArray:
     """Subtract the nearest whole number."""
-    return s - np.rint(s)
+    return np.asarray(s - np.rint(s))
 
 
 def remainder(start: float, speed: float, t: float, period: float) -> float:

@@ -312,7 +312,7 @@ class PlaneWave(Plane):
 
     def shape(self, s: FloatArray) -> FloatArray:
         """Return cos(2πs)."""
-        return np.cos(2.0 * np.pi * s)
+        return np.asarray(np.cos(2.0 * np.pi * s))
 
 
 class StandingWave(Solution):
