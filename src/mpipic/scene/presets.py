@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from mpipic.scene.text import Problem, SceneError
+from mpipic.wording import closest
+
 PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     "recommended": {
         "mapping": {"basis": "cubic", "mass": "penalised", "penalty": 3.0, "penalty_order": 4, "gradient": "grid"},
@@ -22,8 +25,20 @@ PRESETS: dict[str, dict[str, dict[str, Any]]] = {
 """Name to sections. Those of `time` are changed key by key, the others replaced."""
 
 
+def check_preset(name: str) -> None:
+    """Raise SceneError for the name of a preset that there is not."""
+    if name not in PRESETS:
+        choices = tuple(PRESETS)
+        rule = "must be one of " + ", ".join(choices)
+        raise SceneError([Problem("--preset", name, rule, choices, closest(name, choices))])
+
+
 def with_preset(data: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """The scene's data with the scheme of the preset; `data` is not modified."""
+    """Return the scene's data with the scheme of the preset; `data` is not modified.
+
+    Raises SceneError for a name that there is not.
+    """
+    check_preset(name)
     result = dict(data)
     for section, values in PRESETS[name].items():
         own = data.get(section, {}) if section == "time" else {}

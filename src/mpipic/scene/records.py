@@ -17,7 +17,7 @@ from mpipic import parts
 from mpipic.files import Unreadable, read_text
 from mpipic.parts import Part, Values
 from mpipic.scene.checks import check
-from mpipic.scene.presets import PRESETS, with_preset
+from mpipic.scene.presets import check_preset, with_preset
 from mpipic.scene.text import Problem, SceneError, Unused, apply_overrides, parse_toml, write_toml
 from mpipic.wording import closest, escape
 
@@ -99,15 +99,13 @@ class Scene:
         SceneError
             With every mistake in the file and the overrides, or the reason why the file cannot be read.
         """
-        if preset is not None and preset not in PRESETS:
-            choices = tuple(PRESETS)
-            rule = "must be one of " + ", ".join(choices)
-            raise SceneError([Problem("--preset", preset, rule, choices, closest(preset, choices))])
+        if preset is not None:
+            check_preset(preset)
         if path is None:
-            return cls.from_dict(with_preset({}, preset) if preset else {}, overrides, name="paper")
+            return cls.from_dict(with_preset({}, preset) if preset is not None else {}, overrides, name="paper")
         path = Path(path)
         data = parse_toml(_read(path), str(path))
-        data = with_preset(data, preset) if preset else data
+        data = with_preset(data, preset) if preset is not None else data
         return cls.from_dict(with_absolute_paths(data, path.parent), overrides, name=path.stem)
 
     @classmethod
