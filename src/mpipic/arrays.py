@@ -11,7 +11,7 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 Shape = tuple[int, ...]
-"""Of one value: () for a scalar, (d,) for a vector, (d, d) for a tensor."""
+"""The shape of one value: () for a scalar, (d,) for a vector, (d, d) for a tensor."""
 
 
 class ParticleArrays(Protocol):

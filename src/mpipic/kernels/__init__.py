@@ -8,7 +8,7 @@ from mpipic.kernels.common import Loop
 
 @dataclass(frozen=True)
 class LinearLoops:
-    """The loops of the linear basis in one dimension.
+    """Holds the loops of the linear basis in one dimension.
 
     `advance` and `deposit` go over particles (see `kernels.advance`), `gram` and `cross` over cells (`kernels.cells`);
     so does `row_sums`, which is there where the sweep over particles leaves the row sums to it.

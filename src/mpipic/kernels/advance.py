@@ -6,7 +6,7 @@ new place: Φᵀ of the state columns, Φᵀ1 in the last column of `sums`, and 
 `leaving`, and whoever receives it sums it with `deposit_*d`.
 
 Particles are taken in blocks that fit the first cache. What goes axis by axis (`kernels.blocks`) is done for a
-block at a time by loops that the compiler turns into vector code over particles; what gathers from nodes and adds to
+block at a time by loops that the compiler turns into vector code over particles; what reads nodes and adds to
 them goes particle by particle, with the columns of a particle in one vector.
 
 There is one function for each dimension, near twins, so that a scene compiles its own only.
@@ -64,7 +64,7 @@ def _update_1d(s, g, p0, count, node, f_, inverse_h, rates, direct):
 
 @inner
 def _deposit_1d(s, o, m, p0, count, outside, node, cell, f_, weigh):
-    """Runs of particles in one cell are summed in registers."""
+    """Add a block to the sums; runs of particles in one cell are summed in registers."""
     a0, a1, b0, b1, m0, m1, m2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     run_cell, run_node = -1, U(0)
     for p in range(count):
@@ -120,7 +120,7 @@ def deposit_1d(axes, state, sums, moments, start, stop, geometry, shape, layout,
 def advance_1d(
     axes, state, nodal, rates, sums, moments, start, stop, geometry, shape, layout, direct, weigh, bounded, leaving
 ):
-    """See the module's docstring."""
+    """Update and move particles start to stop, and add them to the sums; see the module's docstring."""
     s, g, o, m = state.reshape(-1), nodal.reshape(-1), sums.reshape(-1), moments.reshape(-1)
     index, fraction = scratch(1)
     node, cell, outside, f = index[0], index[1], index[2], fraction[0]
@@ -130,6 +130,7 @@ def advance_1d(
         find(axes, p0, count, geometry, shape, layout, node, cell, fraction)
         peak = _worse(peak, _update_1d(s, g, p0, count, node, f, geometry[0], rates, direct))
         if weigh:
+            # what was read from the nodes was read at the old places; what follows is at the new ones
             move_block(axes, p0, count, geometry)
             find(axes, p0, count, geometry, shape, layout, node, cell, fraction)
             if bounded:
@@ -142,7 +143,7 @@ def advance_1d(
 
 @inlined
 def _worse(peak, other):
-    """The larger, NaN larger than all."""
+    """Return the larger, NaN larger than all."""
     return peak if peak >= other or peak != peak else other
 
 
@@ -159,12 +160,14 @@ def _largest(state, start, stop):
 
 @inlined
 def _add4(g, b, w, r, u, v, t):
+    """Add w (r, u, v, t) to four neighbours: all are read, then all written, so that they go through one register."""
     a0, a1, a2, a3 = g[b] + w * r, g[b + U(1)] + w * u, g[b + U(2)] + w * v, g[b + U(3)] + w * t
     g[b], g[b + U(1)], g[b + U(2)], g[b + U(3)] = a0, a1, a2, a3
 
 
 @inlined
 def _add9(m, b, w, p0, p1, p2, p3, p4, p5, p6, p7, p8):
+    """Add w (p0, ..., p8) to nine neighbours, in the order of `_add4`."""
     a0, a1, a2, a3 = m[b] + w * p0, m[b + U(1)] + w * p1, m[b + U(2)] + w * p2, m[b + U(3)] + w * p3
     a4, a5, a6, a7 = m[b + U(4)] + w * p4, m[b + U(5)] + w * p5, m[b + U(6)] + w * p6, m[b + U(7)] + w * p7
     a8 = m[b + U(8)] + w * p8
@@ -179,11 +182,12 @@ def _update_2d(s, g, p0, count, node, fx_, fy_, row, inverse_h, rates, direct):
     sx, sy, tx, ty = ra * inverse_h[0], ra * inverse_h[1], rb * inverse_h[0], rb * inverse_h[1]
     peak, infinite = 0.0, 0.0
     for p in range(count):
+        # b: entries of the lower left node, three a node, so that b + 3 is its right neighbour's; t: those above
         b, q, fx, fy = U(node[p]) * U(3), U(3 * (p0 + p)), fx_[p], fy_[p]
         t = b + U(3 * row)
         b0, b1, b2, b3, b4, b5 = g[b], g[b + U(1)], g[b + U(2)], g[b + U(3)], g[b + U(4)], g[b + U(5)]
         t0, t1, t2, t3, t4, t5 = g[t], g[t + U(1)], g[t + U(2)], g[t + U(3)], g[t + U(4)], g[t + U(5)]
-        if direct:
+        if direct:  # the derivative along an axis is a difference along it, interpolated along the other
             r = s[q] + sx * _lerp(b4 - b1, t4 - t1, fy) + sy * _lerp(t2 - b2, t5 - b5, fx)
             u = s[q + U(1)] + tx * _lerp(b3 - b0, t3 - t0, fy)
             v = s[q + U(2)] + ty * _lerp(t0 - b0, t3 - b3, fx)
@@ -200,6 +204,7 @@ def _update_2d(s, g, p0, count, node, fx_, fy_, row, inverse_h, rates, direct):
 
 @inner
 def _deposit_2d(s, o, m, p0, count, outside, node, cell, fx_, fy_, row, weigh):
+    # the fourth entry of a node is its row sum: a particle adds w times 1 there, or 0 where the sums are known
     one = 1.0 if weigh else 0.0
     for p in range(count):
         if outside[p]:
@@ -212,7 +217,7 @@ def _deposit_2d(s, o, m, p0, count, outside, node, cell, fx_, fy_, row, weigh):
         _add4(o, b + U(4), fx * wy, r, u, v, one)
         _add4(o, t, wx * fy, r, u, v, one)
         _add4(o, t + U(4), fx * fy, r, u, v, one)
-        if weigh:
+        if weigh:  # pair moments: every product of a pair of x weights and a pair of y weights, x fastest
             x0, x1, x2 = wx * wx, wx * fx, fx * fx
             y0, y1, y2 = wy * wy, wy * fy, fy * fy
             c = U(cell[p]) * U(9)
@@ -236,7 +241,7 @@ def deposit_2d(axes, state, sums, moments, start, stop, geometry, shape, layout,
 def advance_2d(
     axes, state, nodal, rates, sums, moments, start, stop, geometry, shape, layout, direct, weigh, bounded, leaving
 ):
-    """See the module's docstring."""
+    """Update and move particles start to stop, and add them to the sums; see the module's docstring."""
     s, g, o, m = state.reshape(-1), nodal.reshape(-1), sums.reshape(-1), moments.reshape(-1)
     index, fraction = scratch(2)
     node, cell, outside, fx, fy = index[0], index[1], index[2], fraction[0], fraction[1]
@@ -246,6 +251,7 @@ def advance_2d(
         find(axes, p0, count, geometry, shape, layout, node, cell, fraction)
         peak = _worse(peak, _update_2d(s, g, p0, count, node, fx, fy, layout[1], geometry[0], rates, direct))
         if weigh:
+            # what was read from the nodes was read at the old places; what follows is at the new ones
             move_block(axes, p0, count, geometry)
             find(axes, p0, count, geometry, shape, layout, node, cell, fraction)
             if bounded:
@@ -258,13 +264,13 @@ def advance_2d(
 
 @inlined
 def _slope(a0, a1, b0, b1, c0, c1, d0, d1, f, h):
-    """Difference along one axis (x1 - x0), interpolated along the two others with f and h."""
+    """Return the difference along one axis (x1 - x0), interpolated along the two others with f and h."""
     return _lerp(_lerp(a1 - a0, b1 - b0, f), _lerp(c1 - c0, d1 - d0, f), h)
 
 
 @inlined
 def _gradient_3d(g, b, c, t, e, fx, fy, fz):
-    """Differences along x, y and z of one column; b, c, t, e its entries at (0,0), (y,0), (0,z), (y,z), x low."""
+    """Return differences of one column along x, y, z; b, c, t, e: its entries at (0,0), (y,0), (0,z), (y,z), x low."""
     k = U(4)
     b0, b1, c0, c1, t0, t1, e0, e1 = g[b], g[b + k], g[c], g[c + k], g[t], g[t + k], g[e], g[e + k]
     return (
@@ -287,11 +293,13 @@ def _update_3d(s, g, p0, count, node, fx_, fy_, fz_, row, plane, inverse_h, rate
     hx, hy, hz = inverse_h
     peak, infinite = 0.0, 0.0
     for p in range(count):
+        # four entries a node; b, c, t, e: entries of the nodes at (0,0), (y,0), (0,z), (y,z), x low, as in _gradient_3d
         b, q, fx, fy, fz = U(node[p]) * U(4), U(4 * (p0 + p)), fx_[p], fy_[p], fz_[p]
         c, t = b + U(4 * row), b + U(4 * plane)
         e = t + U(4 * row)
         if direct:
             rx, ry, rz = _gradient_3d(g, b, c, t, e, fx, fy, fz)
+            # one derivative of each is used; the compiler drops what makes the two others
             ux, _, _ = _gradient_3d(g, b + U(1), c + U(1), t + U(1), e + U(1), fx, fy, fz)
             _, vy, _ = _gradient_3d(g, b + U(2), c + U(2), t + U(2), e + U(2), fx, fy, fz)
             _, _, wz = _gradient_3d(g, b + U(3), c + U(3), t + U(3), e + U(3), fx, fy, fz)
@@ -314,6 +322,7 @@ def _deposit_3d(s, o, m, p0, count, outside, node, cell, fx_, fy_, fz_, row, pla
     for p in range(count):
         if outside[p]:
             continue
+        # five entries a node; the last, its row sum, comes from the moments afterwards: the others fill one register
         b0, q, fx, fy, fz = U(node[p]) * U(5), U(4 * (p0 + p)), fx_[p], fy_[p], fz_[p]
         b1, b2 = b0 + U(5 * row), b0 + U(5 * plane)
         b3 = b2 + U(5 * row)
@@ -332,6 +341,7 @@ def _deposit_3d(s, o, m, p0, count, outside, node, cell, fx_, fy_, fz_, row, pla
             c = U(cell[p]) * U(27)
             x0, x1, x2 = wx * wx, wx * fx, fx * fx
             y0, y1, y2 = wy * wy, wy * fy, fy * fy
+            # the nine products of x and y pairs, then one layer of the 27 for each pair of z weights
             k0, k1, k2, k3, k4 = x0 * y0, x1 * y0, x2 * y0, x0 * y1, x1 * y1
             k5, k6, k7, k8 = x2 * y1, x0 * y2, x1 * y2, x2 * y2
             _add9(m, c, wz * wz, k0, k1, k2, k3, k4, k5, k6, k7, k8)
@@ -356,7 +366,7 @@ def deposit_3d(axes, state, sums, moments, start, stop, geometry, shape, layout,
 def advance_3d(
     axes, state, nodal, rates, sums, moments, start, stop, geometry, shape, layout, direct, weigh, bounded, leaving
 ):
-    """See the module's docstring."""
+    """Update and move particles start to stop, and add them to the sums; see the module's docstring."""
     s, g, o, m = state.reshape(-1), nodal.reshape(-1), sums.reshape(-1), moments.reshape(-1)
     index, f = scratch(3)
     node, cell, outside = index[0], index[1], index[2]
@@ -368,6 +378,7 @@ def advance_3d(
         other = _update_3d(s, g, p0, count, node, f[0], f[1], f[2], row, plane, geometry[0], rates, direct)
         peak = _worse(peak, other)
         if weigh:
+            # what was read from the nodes was read at the old places; what follows is at the new ones
             move_block(axes, p0, count, geometry)
             find(axes, p0, count, geometry, shape, layout, node, cell, f)
             if bounded:

@@ -5,6 +5,6 @@ from mpipic.kernels.common import hot
 
 @hot
 def triad(a, b, c, scale):
-    """a = b + scale c, elementwise; (n,) each. Reads 16 and writes 8 bytes an element."""
+    """Set a = b + scale c, elementwise; (n,) each. Reads 16 and writes 8 bytes an element."""
     for i in range(a.size):
         a[i] = b[i] + scale * c[i]

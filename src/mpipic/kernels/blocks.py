@@ -1,6 +1,6 @@
 """Axis by axis, a block of particles at a time, in any dimension: where they are, where they go, who leaves.
 
-These loops run over particles without gathering anything, and the compiler turns them into vector code. A block and
+These loops run over particles without touching nodes, and the compiler turns them into vector code. A block and
 what is found of it fit the first cache. Arguments as in `kernels.advance`.
 """
 
@@ -13,7 +13,7 @@ BLOCK = 256
 
 @inner_exactly
 def _place_first(x, tolerance, first, origin, node, cell, fraction):
-    """Node and cell indices from the first axis, and the local coordinate along it."""
+    """Find node and cell indices from the first axis, and the local coordinate along it."""
     for p in range(x.size):
         c, fraction[p] = cell_and_fraction(x[p], tolerance)
         cell[p] = c - first
@@ -48,7 +48,7 @@ def move(x, shift, period, tolerance):
 
 @exactly
 def move_each(x, shifts, period, tolerance):
-    """As `move`, each by its own shift."""
+    """Move every particle by its own shift, and wrap, as `move` does."""
     for p in range(x.size):
         t = x[p] + shifts[p]
         t -= period * np.float64(t >= period - tolerance)
@@ -57,7 +57,7 @@ def move_each(x, shifts, period, tolerance):
 
 @inner
 def find(axes, p0, count, geometry, shape, layout, node, cell, fraction):
-    """Nodes, cells and local coordinates of a block."""
+    """Find nodes, cells and local coordinates of a block."""
     strides, cell_stride = (1, layout[1], layout[2]), 1
     for a in range(axes.shape[0]):
         x = axes[a, p0 : p0 + count]
@@ -78,7 +78,7 @@ def move_block(axes, p0, count, geometry):
 
 @inner
 def find_leavers(axes, p0, count, geometry, shape, outside, leaving, left):
-    """Mark who is outside, append to `leaving`; returns how many have left so far."""
+    """Mark who is outside, append to `leaving`, and return how many have left so far."""
     outside[:count] = 0
     for a in range(axes.shape[0]):
         x = axes[a, p0 : p0 + count]
@@ -93,7 +93,7 @@ def find_leavers(axes, p0, count, geometry, shape, outside, leaving, left):
 
 @inner
 def breaks_of(cell, next_cell, before):
-    """How many cells differ from that of the particle before; next_cell is `cell` without its first entry."""
+    """Return how many cells differ from that of the particle before; next_cell is `cell` without its first entry."""
     total = np.int32(cell[0] != before)
     for p in range(next_cell.size):
         total += np.int32(next_cell[p] != cell[p])
@@ -102,5 +102,5 @@ def breaks_of(cell, next_cell, before):
 
 @inlined
 def scratch(dim):
-    """Node, cell, outside (3, BLOCK) and local coordinates (d, BLOCK) of a block."""
+    """Return room for node, cell, outside (3, BLOCK) and local coordinates (d, BLOCK) of a block."""
     return np.zeros((3, BLOCK), np.int32), np.empty((dim, BLOCK))

@@ -18,13 +18,13 @@ from mpipic.kernels.common import U, hot, inlined, inner
 
 @inlined
 def _pair(a, b, c, x, y):
-    """The symmetric matrix [[a, b], [b, c]] times (x, y)."""
+    """Multiply the symmetric matrix [[a, b], [b, c]] with (x, y)."""
     return a * x + b * y, b * x + c * y
 
 
 @inlined
 def _pair2(a0, b0, c0, a1, b1, c1, a2, b2, c2, x00, x10, x01, x11):
-    """Two axes: [[M0, M1], [M1, M2]] with blocks Mi = [[ai, bi], [bi, ci]], times (x00, x10, x01, x11)."""
+    """Multiply [[M0, M1], [M1, M2]], blocks Mi = [[ai, bi], [bi, ci]] of two axes, with (x00, x10, x01, x11)."""
     p0, p1 = _pair(a0, b0, c0, x00, x10)
     q0, q1 = _pair(a1, b1, c1, x01, x11)
     r0, r1 = _pair(a1, b1, c1, x00, x10)
@@ -34,7 +34,7 @@ def _pair2(a0, b0, c0, a1, b1, c1, a2, b2, c2, x00, x10, x01, x11):
 
 @inlined
 def _plane(m, q, x00, x10, x01, x11):
-    """Two axes with the nine moments that start at m[q]."""
+    """Multiply the matrix of two axes, made of the nine moments that start at m[q], with (x00, x10, x01, x11)."""
     return _pair2(
         m[q], m[q + U(1)], m[q + U(2)], m[q + U(3)], m[q + U(4)], m[q + U(5)], m[q + U(6)], m[q + U(7)], m[q + U(8)],
         x00, x10, x01, x11,
@@ -52,7 +52,7 @@ def _gram_cell_3d(m, q, x0, x1, x2, x3, x4, x5, x6, x7):
 
 @inlined
 def _cross_cell_2d(m, q, x0, x1, y0, y1):
-    """Rows of ΦᵀD^x and ΦᵀD^y: x0, x1 are the x differences at low and high y, y0, y1 the y differences."""
+    """Return a cell's rows of ΦᵀD^x and ΦᵀD^y; x0, x1 are x differences at low and high y, y0, y1 y differences."""
     gx00, gx01 = _pair(m[q] + m[q + U(1)], m[q + U(3)] + m[q + U(4)], m[q + U(6)] + m[q + U(7)], x0, x1)
     gx10, gx11 = _pair(m[q + U(1)] + m[q + U(2)], m[q + U(4)] + m[q + U(5)], m[q + U(7)] + m[q + U(8)], x0, x1)
     gy00, gy10 = _pair(m[q] + m[q + U(3)], m[q + U(1)] + m[q + U(4)], m[q + U(2)] + m[q + U(5)], y0, y1)
@@ -62,7 +62,7 @@ def _cross_cell_2d(m, q, x0, x1, y0, y1):
 
 @inlined
 def _along_x(m, q, x0, x1, x2, x3):
-    """Half a row block of ΦᵀD^x in 3D, the moments at x pair q and q + 1 added up: four (y, z) test functions."""
+    """Return half a row block of ΦᵀD^x in 3D: moments at x pairs q and q + 1 added up, four (y, z) test functions."""
     return _pair2(
         m[q] + m[q + U(1)], m[q + U(3)] + m[q + U(4)], m[q + U(6)] + m[q + U(7)],
         m[q + U(9)] + m[q + U(10)], m[q + U(12)] + m[q + U(13)], m[q + U(15)] + m[q + U(16)],
@@ -73,7 +73,7 @@ def _along_x(m, q, x0, x1, x2, x3):
 
 @inlined
 def _along_y(m, q, y0, y1, y2, y3):
-    """The same for ΦᵀD^y: y pairs q and q + 3 added up, four (x, z) test functions."""
+    """Return the same for ΦᵀD^y: y pairs q and q + 3 added up, four (x, z) test functions."""
     return _pair2(
         m[q] + m[q + U(3)], m[q + U(1)] + m[q + U(4)], m[q + U(2)] + m[q + U(5)],
         m[q + U(9)] + m[q + U(12)], m[q + U(10)] + m[q + U(13)], m[q + U(11)] + m[q + U(14)],
@@ -84,7 +84,7 @@ def _along_y(m, q, y0, y1, y2, y3):
 
 @inlined
 def _along_z(m, q, z0, z1, z2, z3):
-    """The same for ΦᵀD^z: z pairs q and q + 9 added up, four (x, y) test functions."""
+    """Return the same for ΦᵀD^z: z pairs q and q + 9 added up, four (x, y) test functions."""
     return _pair2(
         m[q] + m[q + U(9)], m[q + U(1)] + m[q + U(10)], m[q + U(2)] + m[q + U(11)],
         m[q + U(3)] + m[q + U(12)], m[q + U(4)] + m[q + U(13)], m[q + U(5)] + m[q + U(14)],
@@ -95,7 +95,7 @@ def _along_z(m, q, z0, z1, z2, z3):
 
 @hot
 def row_sums_3d(moments, shape, layout, out, column):
-    """out[:, column] += Φᵀ1."""
+    """Add the row sums Φᵀ1 to out[:, column]."""
     m, z, row, plane = moments.reshape(-1), U(column), U(layout[1]), U(layout[2])
     for k in range(shape[2]):
         for j in range(shape[1]):
@@ -122,7 +122,7 @@ def _add_edge_3d(out, k, n, row, plane, a0, a1, a2, a3):
 
 @hot
 def gram_1d(moments, shape, layout, values, out):
-    """out += G values, column 0."""
+    """Add G values to `out`, column 0 of both."""
     m, e, z = moments.reshape(-1), U(1), U(0)
     right, v0 = 0.0, values[U(layout[0]), z]
     for i in range(shape[0]):
@@ -136,7 +136,7 @@ def gram_1d(moments, shape, layout, values, out):
 
 @hot
 def gram_2d(moments, shape, layout, values, out):
-    """out += G values, column 0."""
+    """Add G values to `out`, column 0 of both."""
     m, v, row, e, z = moments.reshape(-1), values, U(layout[1]), U(1), U(0)
     for j in range(shape[1]):
         n = U(layout[0] + j * layout[1])
@@ -154,7 +154,7 @@ def gram_2d(moments, shape, layout, values, out):
 
 @hot
 def gram_3d(moments, shape, layout, values, out):
-    """out += G values, column 0."""
+    """Add G values to `out`, column 0 of both."""
     m, v, row, plane, e, z = moments.reshape(-1), values, U(layout[1]), U(layout[2]), U(1), U(0)
     for k in range(shape[2]):
         for j in range(shape[1]):
@@ -176,7 +176,7 @@ def gram_3d(moments, shape, layout, values, out):
 
 @hot
 def cross_1d(moments, shape, layout, inverse_h, values, out, divergence):
-    """out += ΦᵀD values: the gradient of one column, which in 1D is the divergence too."""
+    """Add ΦᵀD values to `out`: the gradient of one column, which in 1D is the divergence too."""
     m, e, z = moments.reshape(-1), U(1), U(0)
     right, v0 = 0.0, values[U(layout[0]), z]
     for i in range(shape[0]):
@@ -190,7 +190,7 @@ def cross_1d(moments, shape, layout, inverse_h, values, out, divergence):
 
 @hot
 def cross_2d(moments, shape, layout, inverse_h, values, out, divergence):
-    """out += ΦᵀD^a values: the gradient of one column (out has two), or the divergence of two columns (out has one)."""
+    """Add ΦᵀD^a values to `out`: the gradient of one column (out has two), or the divergence of two (out has one)."""
     m, v, row, e, z = moments.reshape(-1), values, U(layout[1]), U(1), U(0)
     rx, ry = inverse_h[0], inverse_h[1]
     ky = e if divergence else z
@@ -226,7 +226,7 @@ def cross_2d(moments, shape, layout, inverse_h, values, out, divergence):
 
 @inlined
 def _cross_cell_3d(m, q, v, n, row, plane, rx, ry, rz, kx, ky, kz):
-    """Rows of ΦᵀD^x, ΦᵀD^y and ΦᵀD^z of a cell; corners 0 to 7, x fastest: g along x, f along y, d along z."""
+    """Return a cell's rows of ΦᵀD^x, ΦᵀD^y and ΦᵀD^z, corners 0 to 7, x fastest: g along x, f along y, d along z."""
     e = U(1)
     c, t = n + row, n + plane
     u = t + row
@@ -292,7 +292,7 @@ def _gradient_3d(m, shape, layout, inverse_h, v, out):
 
 @hot
 def cross_3d(moments, shape, layout, inverse_h, values, out, divergence):
-    """out += ΦᵀD^a values: the gradient of one column (out has three), or the divergence of three (out has one)."""
+    """Add ΦᵀD^a values to `out`: the gradient of one column (out has three) or the divergence of three (it has one)."""
     if divergence:
         _divergence_3d(moments.reshape(-1), shape, layout, inverse_h, values, out)
     else:

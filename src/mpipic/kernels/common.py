@@ -1,4 +1,4 @@
-"""What every compiled loop shares: how it is compiled and kept, and where a particle lies in the grid.
+"""Every compiled loop shares this: how it is compiled and kept, and where a particle lies in the grid.
 
 The loops read and write flat views of C-contiguous arrays and index them with unsigned integers: the compiler then
 drops Python's negative-index rule and sees that neighbouring columns are contiguous, which is what lets it put the
@@ -42,7 +42,7 @@ def _numba_option(name: str, value: object) -> Iterator[None]:
 
 
 class LoopCompiler(Compiler):
-    """Numba's compiler, which besides puts what is neighbours in memory into one vector register."""
+    """Compiles as Numba does, and besides puts into one vector register what are neighbours in memory."""
 
     def compile_extra(self, func):
         """Compile as Numba does, with its option for that switched on."""
@@ -94,7 +94,7 @@ inlined = njit(inline="always")
 
 @inner_exactly
 def cell_and_fraction(x, tolerance):
-    """Cell that coordinate x >= -tolerance (in cells) lies in, and the local coordinate in [0, 1) within it; exact.
+    """Return the cell that coordinate x >= -tolerance (in cells) lies in, and the local coordinate in [0, 1); exact.
 
     Within `tolerance` of a node x counts as on it and belongs to the right-hand cell.
     """

@@ -11,7 +11,7 @@ from mpipic.kernels.common import cell_and_fraction, hot, inner
 
 @hot
 def locate(coordinate, tolerance, first, shape, cell, fraction):
-    """Local cell index (x fastest) and local coordinates of every particle.
+    """Find the local cell index (x fastest) and the local coordinates of every particle.
 
     `tolerance`, `first`, `shape` : arrays (d,). Returns the index of the first particle outside
     this rank's cells, or -1; `cell` is -1 for such particles.
@@ -33,7 +33,7 @@ def locate(coordinate, tolerance, first, shape, cell, fraction):
 
 @inner
 def node_of(cell, shape, layout):
-    """The lowest node of a local cell: shape (3,) padded with 1, layout = (first node, strides of y and z)."""
+    """Return the lowest node of a local cell: shape (3,) padded with 1, layout = (first node, strides of y and z)."""
     rest, i = divmod(cell, shape[0])
     k, j = divmod(rest, shape[1])
     return layout[0] + i + j * layout[1] + k * layout[2]
@@ -41,7 +41,7 @@ def node_of(cell, shape, layout):
 
 @hot
 def add_moments(cell, fraction, weight, out):
-    """out (cells, 3^d) += the pair moments of every particle times its weight (see `kernels.cells`)."""
+    """Add to `out` (cells, 3^d) the pair moments of every particle times its weight (see `kernels.cells`)."""
     dim, width = fraction.shape[1], out.shape[1]
     for p in range(cell.size):
         for q in range(width):
@@ -56,7 +56,7 @@ def add_moments(cell, fraction, weight, out):
 
 @hot
 def invert(weights, out):
-    """out = 1 / weights; 0 where the weight is 0 (a node that no particle sees)."""
+    """Set out = 1 / weights; 0 where the weight is 0 (a node that no particle sees)."""
     for n in range(out.size):
         w = weights[n]
         out[n] = 1.0 / w if w > 0.0 else 0.0
@@ -64,7 +64,7 @@ def invert(weights, out):
 
 @hot
 def scale_rows(values, factors, out):
-    """out = values times one factor a row."""
+    """Set `out` to values times one factor a row."""
     if values.shape[1] == 1:
         for n in range(out.shape[0]):
             out[n, 0] = values[n, 0] * factors[n]
@@ -76,7 +76,7 @@ def scale_rows(values, factors, out):
 
 @hot
 def scale_changed(values, rate, change, factors, out):
-    """out = (values + rate change) times one factor a row."""
+    """Set `out` to (values + rate change) times one factor a row."""
     if values.shape[1] == 1:
         for n in range(out.shape[0]):
             out[n, 0] = (values[n, 0] + rate * change[n, 0]) * factors[n]
@@ -88,7 +88,7 @@ def scale_changed(values, rate, change, factors, out):
 
 @hot
 def sort_order(cell, cells, order):
-    """Stable counting sort: order[j] = index of the particle that comes j-th by cell."""
+    """Sort by counting, stably: order[j] becomes the index of the particle that comes j-th by cell."""
     start = np.zeros(cells + 1, dtype=np.int64)
     for p in range(cell.size):
         start[cell[p] + 1] += 1

@@ -17,7 +17,7 @@ ON_BREAK = 1e-10
 
 @hot
 def weights(degree, x, w):
-    """Fill w[: degree + 1] for local coordinate x; returns the offset of the first node."""
+    """Fill w[: degree + 1] with the weights at local coordinate x, and return the offset of the first node."""
     if degree == 1:
         w[0], w[1] = 1.0 - x, x
         return 0
@@ -34,7 +34,7 @@ def weights(degree, x, w):
 
 @hot
 def slopes(degree, x, inverse_h, s):
-    """Fill s[: degree + 1] with the derivatives; right-hand ones where there are two."""
+    """Fill s[: degree + 1] with the derivatives at local coordinate x; right-hand ones where there are two."""
     if degree == 1:
         s[0], s[1] = -inverse_h, inverse_h
     elif degree == 2:
@@ -48,13 +48,13 @@ def slopes(degree, x, inverse_h, s):
 
 @inlined
 def _scratch():
-    """Weights and slopes per axis (an axis that there is not has the one weight 1), and nodes per axis."""
+    """Return room for weights and slopes per axis, and nodes per axis; an axis that there is not has one weight, 1."""
     return np.ones((3, 4)), np.ones((3, 4)), np.ones(3, np.int64)
 
 
 @inner
 def _find(degree, cell, fraction, p, shape, layout, w, count):
-    """Weights of particle p per axis; returns its first node."""
+    """Find the weights of particle p per axis, and return its first node."""
     node = node_of(cell[p], shape, layout)
     for a in range(fraction.shape[1]):
         offset = weights(degree, fraction[p, a], w[a])
@@ -65,7 +65,7 @@ def _find(degree, cell, fraction, p, shape, layout, w, count):
 
 @hot
 def add_sums(degree, cell, fraction, values, shape, layout, out):
-    """out += Φᵀ values, column by column."""
+    """Add Φᵀ values to `out`, column by column."""
     w, _, count = _scratch()
     columns = values.shape[1]
     if fraction.shape[1] == 1:
@@ -90,7 +90,7 @@ def add_sums(degree, cell, fraction, values, shape, layout, out):
 
 @hot
 def add_interpolated(degree, cell, fraction, nodal, rate, shape, layout, out):
-    """out += rate[column] Φ nodal, column by column."""
+    """Add rate[column] Φ nodal to `out`, column by column."""
     w, _, count = _scratch()
     columns = nodal.shape[1]
     total = np.empty(columns)
@@ -120,7 +120,7 @@ def add_interpolated(degree, cell, fraction, nodal, rate, shape, layout, out):
 
 @inner
 def _along(axis, w, s, i, j, k):
-    """The shape function of corner (i, j, k), differentiated along `axis`."""
+    """Return the shape function of corner (i, j, k), differentiated along `axis`."""
     x = s[0, i] if axis == 0 else w[0, i]
     y = s[1, j] if axis == 1 else w[1, j]
     z = s[2, k] if axis == 2 else w[2, k]
@@ -135,7 +135,7 @@ def _find_slopes(degree, fraction, p, inverse_h, s):
 
 @hot
 def add_gradient(degree, cell, fraction, nodal, rate, inverse_h, shape, layout, out):
-    """out[:, a] += rate D^a nodal, for one column."""
+    """Add rate D^a nodal, for one column, to out[:, a]."""
     w, s, count = _scratch()
     dim = fraction.shape[1]
     total = np.empty(dim)
@@ -156,7 +156,7 @@ def add_gradient(degree, cell, fraction, nodal, rate, inverse_h, shape, layout, 
 
 @hot
 def add_divergence(degree, cell, fraction, nodal, rate, inverse_h, shape, layout, out):
-    """out += rate Σ_a D^a nodal[:, a]."""
+    """Add rate Σ_a D^a nodal[:, a] to `out`."""
     w, s, count = _scratch()
     dim = fraction.shape[1]
     for p in range(cell.size):
@@ -174,7 +174,7 @@ def add_divergence(degree, cell, fraction, nodal, rate, inverse_h, shape, layout
 
 @hot
 def add_gradient_sums(degree, cell, fraction, values, inverse_h, shape, layout, out):
-    """out[:, a] += (D^a)ᵀ values, for one column of particle values."""
+    """Add (D^a)ᵀ values, for one column of particle values, to out[:, a]."""
     w, s, count = _scratch()
     dim = fraction.shape[1]
     for p in range(cell.size):
@@ -190,7 +190,7 @@ def add_gradient_sums(degree, cell, fraction, values, inverse_h, shape, layout, 
 
 @hot
 def add_divergence_sums(degree, cell, fraction, values, inverse_h, shape, layout, out):
-    """out += Σ_a (D^a)ᵀ values[:, a]."""
+    """Add Σ_a (D^a)ᵀ values[:, a] to `out`."""
     w, s, count = _scratch()
     dim = fraction.shape[1]
     for p in range(cell.size):
@@ -208,7 +208,7 @@ def add_divergence_sums(degree, cell, fraction, values, inverse_h, shape, layout
 
 @inner
 def _pair_places(degree, dim, layout, diagonals, place):
-    """Of every pair of nodes a <= b that a particle touches: where its product goes, relative to the first node's row.
+    """Find where the product of every two nodes a <= b of a particle goes, relative to the first node's row.
 
     Nodes count x fastest, so b never precedes a: its offset from a is in the half stencil.
     """
@@ -225,7 +225,7 @@ def _pair_places(degree, dim, layout, diagonals, place):
 
 @inner
 def _move(total, place, first, out):
-    """out[first + place] += total; total = 0."""
+    """Add `total` to out[first + place], and set it to 0."""
     for pair in range(total.size):
         out[U(first + place[pair])] += total[pair]
         total[pair] = 0.0
@@ -233,7 +233,7 @@ def _move(total, place, first, out):
 
 @hot
 def add_gram_entries(degree, cell, fraction, weight, shape, layout, entries):
-    """entries[n, h] += Σ_p V_p φ_n φ_m, m the node of offset h of the half stencil from n (see `stencil`).
+    """Add Σ_p V_p φ_n φ_m to entries[n, h], m the node of offset h of the half stencil from n (see `stencil`).
 
     Products of particles that touch the same nodes, one after the other in memory, are added up before they go there.
     """
@@ -276,7 +276,7 @@ def add_gram_entries(degree, cell, fraction, weight, shape, layout, entries):
 
 @hot
 def shape_functions(degree, cell, fraction, shape, layout, node, value):
-    """The nodes that each particle touches and its weights there, (n, (degree + 1)^d)."""
+    """Find the nodes that each particle touches and its weights there, (n, (degree + 1)^d)."""
     w, _, count = _scratch()
     for p in range(cell.size):
         first, c = _find(degree, cell, fraction, p, shape, layout, w, count), 0

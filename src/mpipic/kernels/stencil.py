@@ -19,14 +19,14 @@ ROWS_AT_ONCE = 64
 
 
 def half_stencil(dim: int, reach: int = 1) -> npt.NDArray[np.int64]:
-    """Offsets (h, 3) of half of the (2 reach + 1)^d nodes around one, x first: itself, then those that follow it."""
+    """Return offsets (h, 3) of half of the (2 reach + 1)^d nodes around one, x first: itself, then those after it."""
     spans = [range(-reach, reach + 1) if a < dim else (0,) for a in range(3)]
     every = [(i, j, k) for k in spans[2] for j in spans[1] for i in spans[0]]
     return np.array(every[len(every) // 2 :], dtype=np.int64)
 
 
 def moment_terms(dim: int) -> npt.NDArray[np.int64]:
-    """Where the pair moments of a cell go: rows (moment, diagonal, i, j, k): its entry at node (i, j, k) of the cell.
+    """Return where the pair moments of a cell go, rows (moment, diagonal, i, j, k): to the diagonal of node (i, j, k).
 
     Along an axis, pairs 0 and 2 belong to the lower and upper node alone, pair 1 couples the two.
     """
@@ -48,7 +48,7 @@ def moment_terms(dim: int) -> npt.NDArray[np.int64]:
 
 @hot
 def add_moments(moments, terms, shape, layout, entries):
-    """entries[n, h] += G's entries from the moments of all own cells (cells, 3^d); ghosts above get their share."""
+    """Add G's entries from the moments of all own cells (cells, 3^d) to entries[n, h]; ghosts above get their share."""
     width, diagonals = moments.shape[1], entries.shape[1]
     m, out = moments.reshape(-1), entries.reshape(-1)
     place = np.empty(terms.shape[0], np.int64)
@@ -68,7 +68,7 @@ def add_moments(moments, terms, shape, layout, entries):
 
 @hot
 def root_and_scale(diagonal, root, scale):
-    """root = sqrt(diagonal), scale = 1 / root; both 0 where the diagonal is 0 (a node that no particle sees)."""
+    """Set root = sqrt(diagonal), scale = 1 / root; both 0 where the diagonal is 0 (a node that no particle sees)."""
     for n in range(diagonal.size):
         r = np.sqrt(diagonal[n])
         root[n] = r
@@ -77,9 +77,9 @@ def root_and_scale(diagonal, root, scale):
 
 @hot
 def scale_diagonals(entries, constants, offsets, scale, diagonals):
-    """diagonals[h, n] = (entries[n, h] + constants[h]) scale[n] scale[n + offsets[h]], h > 0; 0 beyond the array's end.
+    """Set diagonals[h, n] = (entries[n, h] + constants[h]) scale[n] scale[n + offsets[h]], h > 0.
 
-    Diagonals that `entries` has no column for are constant. The main one, which is 1 then, is left alone.
+    Beyond the array's end they are 0, and constant where `entries` has no column. The main one, 1 then, is left alone.
     """
     nodes, stored = entries.shape
     for n in range(0, nodes, ROWS_AT_ONCE):
@@ -99,7 +99,7 @@ def scale_diagonals(entries, constants, offsets, scale, diagonals):
 
 @hot
 def multiply(diagonals, offsets, main, values, shape, layout, out):
-    """out[c] = G values[c] on own nodes, padded arrays, ghosts of `values` filled; junk on ghosts between.
+    """Set out[c] = G values[c] on own nodes, padded arrays, ghosts of `values` filled; junk on ghosts between.
 
     G has the same number all along its main diagonal: diagonals[0] is not read. A block of nodes of one z layer stays
     in the first caches while the other diagonals pass, two at a time, for all columns.
@@ -156,7 +156,7 @@ def _add_two(row, a0, v0, a1, v1, a2, v2, a3, v3):
 
 @hot
 def extrapolate(earlier, weights, factors, out):
-    """out = Σ_j weights[j] earlier[j] times one factor a node; all compact."""
+    """Set out = Σ_j weights[j] earlier[j] times one factor a node; all compact."""
     n = 0
     while n < out.size:
         m = min(NODES_AT_ONCE, out.size - n)
@@ -173,7 +173,7 @@ def extrapolate(earlier, weights, factors, out):
 
 @hot
 def convolve(values, weights, shape, layout, plane, line, out):
-    """out = the product of one symmetric stencil per axis, applied to `values` (padded, ghosts filled), out compact.
+    """Apply the product of one symmetric stencil per axis to `values` (padded, ghosts filled), into `out`, compact.
 
     weights : (3, reach + 1)
         Per axis the middle weight and those to either side; (1, 0, ...) along an axis that there is not.
@@ -202,7 +202,7 @@ def convolve(values, weights, shape, layout, plane, line, out):
 
 @inner
 def _combine(values, weights, reach, start, stride, count, out):
-    """out[i] = Σ_s weights[|s|] values[start + s stride + i], |s| <= reach."""
+    """Set out[i] = Σ_s weights[|s|] values[start + s stride + i], |s| <= reach."""
     here = values[start : start + count]
     row = out[:count]
     w = weights[0]
@@ -218,7 +218,7 @@ def _combine(values, weights, reach, start, stride, count, out):
 
 @hot
 def difference(values, weights, stride, shape, layout, out):
-    """out[n] = Σ_s weights[s] (values[n + s stride] - values[n - s stride]), s = 1, ...; values padded, out compact."""
+    """Set out[n] = Σ_s weights[s] (values[n + s stride] - values[n - s stride]), s > 0; values padded, out compact."""
     for k in range(shape[2]):
         for j in range(shape[1]):
             n, first = layout[0] + j * layout[1] + k * layout[2], (k * shape[1] + j) * shape[0]
