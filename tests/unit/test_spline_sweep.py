@@ -6,7 +6,7 @@ from mpi4py import MPI
 
 from covering_helpers import covering
 from dense_helpers import close, pattern
-from mpipic.mapping import sweep as sweeps
+from mpipic.mapping import sweeps
 from mpipic.mapping.linear_sweep import LinearSweep
 from mpipic.mapping.spline_sweep import SplineSweep
 from mpipic.mesh.grid import Grid

@@ -218,18 +218,3 @@ class ParticleSweep(NodalMapping):
         self._excess += max(0, breaks - self._fewest_breaks)
         if self._excess > 12 * self.particles.count:
             self.sort()
-
-
-def create(
-    grid: Grid,
-    particles: Particles,
-    displacement: Sequence[float],
-    phase: Callable[[str], None] = lambda name: None,
-    transposed: bool = False,
-) -> ParticleSweep:
-    """Return the sweep for the basis of the grid; `transposed`: one that has the transposed gradients too."""
-    from mpipic.mapping.linear_sweep import LinearSweep
-    from mpipic.mapping.spline_sweep import SplineSweep
-
-    cls = LinearSweep if grid.degree == 1 and not transposed else SplineSweep
-    return cls(grid, particles, displacement, phase)

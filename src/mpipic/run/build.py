@@ -10,7 +10,7 @@ from mpi4py import MPI
 import mpipic.run.parts  # noqa: F401  all that scenes can name
 from mpipic.arrays import FloatArray, IntArray
 from mpipic.filters import FILTERS, Filter, NodalFilter, TooLarge
-from mpipic.mapping import sweep
+from mpipic.mapping import sweeps
 from mpipic.mapping.base import NodalMapping
 from mpipic.mapping.mapping import Mapping
 from mpipic.mapping.mass import MASSES, Mass, Workspace
@@ -152,7 +152,7 @@ def build_sweep(scene: Scene, grid: Grid, particles: Particles, phase: Phase = _
     """Return the scene's particles, mapped. Collective."""
     displacement = [v * scene.dt for v in scene.gas.flow]
     transposed = GRADIENTS[scene.mapping.gradient].transposed
-    return sweep.create(grid, particles, displacement, phase, transposed=transposed)
+    return sweeps.create(grid, particles, displacement, phase, transposed=transposed)
 
 
 def step_on(scene: Scene, carrier: ParticleSweep) -> AcousticStep:
