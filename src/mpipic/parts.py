@@ -292,9 +292,10 @@ def default_of(slot: str, physics: str | None) -> str:
 
 
 def chosen(v: Values) -> list[type[Part]]:
-    """Return the parts of a scene, in the order of a scene file."""
+    """Return the parts of a scene, in the order of a scene file; without those whose name is wrong."""
     physics = v["physics.kind"]
-    return [v.part(slot) for slot in slots(physics)]
+    named = [(choices(slot, physics), v.get(slot, "")) for slot in slots(physics)]
+    return [parts[kind] for parts, kind in named if isinstance(kind, str) and kind in parts]
 
 
 def settings_of(part: type[Part], known: Mapping[str, Any]) -> dict[str, Any]:

@@ -238,6 +238,25 @@ def test_mpiexec_ends_with_code_2_and_the_message_once() -> None:
     assert "Traceback" not in ended.stderr
 
 
+@pytest.mark.mpi
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_what_nothing_uses_is_a_warning_said_once(ranks: int) -> None:
+    more = overrides("filter.kind=svd", "filter.order=2", "grid.cells=[8]")
+    ended = mpipic("check", *more, ranks=ranks, timeout=60)
+    why = 'filter.kind = "svd" takes no order; order and chebyshev do'
+    assert ended.returncode == 0
+    assert ended.stderr.splitlines() == [f"warning: filter.order = 2 is not used: {why}"]
+    (left_out,) = [line for line in ended.stdout.splitlines() if line.startswith("left out")]
+    assert left_out.endswith(", filter.order")
+
+
+def test_a_comparison_of_filters_uses_what_the_scene_says_of_any_filter() -> None:
+    more = overrides("filter.tolerance=1e-3", "filter.order=7", "mapping.penalty=1.0", "grid.cells=[8]")
+    ended = mpipic("filters", *more, "--filters", "order,exact", timeout=60)
+    assert ended.returncode == 0 and "mapping.penalty" in ended.stderr and "filter." not in ended.stderr
+    assert "order 7" in ended.stdout and "residual of 0.001" in ended.stdout
+
+
 USAGE = {
     "unknown-option": (["run", "--colour", "red"], "No such option: --colour"),
     "unknown-verb": (["jump"], "No such command 'jump'"),

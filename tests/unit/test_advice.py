@@ -24,6 +24,25 @@ def test_the_memory_that_check_promises_is_what_a_run_takes(cells, kind):
     assert promised < taken < promised * ghosts * 1.06  # ghost nodes, and the list of particles that leave
 
 
+SCHEMES = {
+    "exact": {"filter": {"kind": "exact"}},
+    "exact rk4": {"filter": {"kind": "exact"}, "time": {"integrator": "rk4"}},
+    "consistent": {"mapping": {"mass": "consistent", "basis": "cubic", "gradient": "grid"}},
+    "penalised exact": {"mapping": {"mass": "penalised", "basis": "quadratic"}, "filter": {"kind": "exact"}},
+}
+
+
+@pytest.mark.parametrize("name", SCHEMES)
+def test_what_solvers_keep_on_a_node_is_promised_too(name):
+    """Roughly: answers of earlier steps come in one by one, and PETSc's own vectors are counted by check alone."""
+    scene = Scene.from_dict({"grid": {"cells": [150, 150]}, "initial": {"profile": "plane-wave"}, **SCHEMES[name]})
+    simulation = Simulation(scene, MPI.COMM_SELF)
+    for _ in range(3):
+        simulation.physics.step()
+    taken = simulation.physics.nbytes / scene.cell_count
+    assert 0.65 * advice.node_bytes(scene) < taken < 1.2 * advice.node_bytes(scene)
+
+
 def test_what_a_scene_leaves_out_is_said():
     scene = scene_of([8], "none")
     assert dict(advice.built(scene))["filter"] == "none"

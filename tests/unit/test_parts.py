@@ -18,6 +18,8 @@ from mpipic.filters import FILTERS, NodalFilter, create
 from mpipic.keys import FROM_1, ByScene, Count, Keys, key
 from mpipic.mapping.mapping import Mapping
 from mpipic.parts import Part, Values, rule
+from mpipic.physics.base import KINDS
+from mpipic.run.build import PHYSICS
 from mpipic.run.describe import describe, left_out
 from mpipic.run.loop import Simulation
 from mpipic.scene.records import Scene
@@ -56,6 +58,10 @@ def test_no_two_parts_of_a_scene_take_the_same_key() -> None:
 def test_rules_name_keys_that_there_are(part: type[Part]) -> None:
     known = {f"{section}.{name}" for section, names in parts.sections().items() for name in names}
     assert all(set(one.keys) <= known for one in part.rules())
+
+
+def test_every_physics_that_scenes_can_name_has_a_builder() -> None:
+    assert set(PHYSICS) == set(KINDS) == set(parts.choices("physics.kind", None))
 
 
 def test_a_second_part_of_the_same_name_is_refused() -> None:

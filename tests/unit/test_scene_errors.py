@@ -280,6 +280,15 @@ def test_a_rule_is_silent_while_the_keys_that_it_needs_are_wrong():
     assert "as many entries as grid.cells, 2; it has 3" in str(error)
 
 
+@pytest.mark.parametrize("wrong", [f"{slot}={value}" for slot in CHOOSERS for value in ("nonsense", "[1]", "{a=1}")])
+def test_any_wrong_name_leaves_the_rest_checked(wrong):
+    """The rules of damping, of the time step and of reports look at other parts."""
+    more = ["damping.order=4", "mapping.mass=lumped", "time.cfl=0.1", "output.report_at=[5000]", "grid.length=[0]"]
+    more = [text for text in more if text.split("=")[0] != wrong.split("=")[0]]
+    found = {problem.key for problem in refused({}, [*more, wrong]).problems}
+    assert found >= {wrong.split("=")[0], "grid.length", "output.report_at"}
+
+
 def test_everything_wrong_is_reported_at_once_in_the_order_of_the_scene():
     text = """
         speed = 3
