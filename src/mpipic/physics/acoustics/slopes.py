@@ -176,6 +176,11 @@ class GridSlopes(Slopes):
         """Return where gradients are taken, and their order."""
         return f"central differences of order {v['mapping.gradient_order']} on the nodes"
 
+    @classmethod
+    def node_doubles(cls, v: Values) -> int:
+        """Return a vector, padded, and its differences."""
+        return 2 * v.dim
+
     def __init__(self, sweep: ParticleSweep, work: Workspace, order: int, filter_: NodalFilter | None = None) -> None:
         from mpipic.mesh.differences import CentralDifference
 
