@@ -1,4 +1,4 @@
-"""Reads a package with `ast` and holds it to the rules of the house: who imports whom, sizes, private names.
+"""Reads a package with `ast` and holds it to the rules of the house: who imports whom, sizes, private names, sentences.
 
 Every import counts, also one inside a function. One under `if TYPE_CHECKING` names a type and builds nothing: it obeys
 the floors like any other, but may name the type of a library, and a scene beside a part.
@@ -35,6 +35,8 @@ BUILDER = "run/build.py"
 """The one file that may import both a scene and the parts."""
 ONLY_IN = {"h5py": ("io",), "slepc4py": ("filters", "analysis")}
 NEVER_IN = {"physics": ("mpi4py", "petsc4py"), **{room: ("mpi4py", "petsc4py") for room in ASIDE}}
+NO_SENTENCE = ("Of", "What", "As", "Nothing")
+"""How a docstring begins that is a fragment: no subject, no verb."""
 MOST_ROOMS, MOST_FLOORS, LONGEST_FILE, LONGEST_FUNCTION = 12, 10, 400, 40
 
 
@@ -74,6 +76,7 @@ def broken_rules(root: Path) -> list[Broken]:
             found += _by_name(file, tree)
         found += _sizes(file, tree, (root / file).read_text())
         found += _private_uses(file, tree, defined)
+        found += _fragments(file, tree)
     return found
 
 
@@ -246,3 +249,15 @@ def _private_uses(file: str, tree: ast.Module, defined: dict[str, set[str]]) -> 
             names = [node.attr]
         for name in names:
             yield Broken("no private name of another file", file, name, node.lineno)
+
+
+# ---------------------------------------------------------------- docstrings
+
+
+def _fragments(file: str, tree: ast.Module) -> Iterator[Broken]:
+    """Docstrings, those below a variable or field too, that begin like no sentence."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            first = node.value.value.split(maxsplit=1)[:1]
+            if first and first[0] in NO_SENTENCE:
+                yield Broken("a docstring is a sentence", file, first[0], node.lineno)

@@ -117,7 +117,7 @@ Broken = tuple[str, str]
 
 @dataclass(frozen=True)
 class Rule:
-    """What must hold between values: tried when `keys` are all there and none of them is wrong."""
+    """Must hold between values: it is tried when `keys` are all there and none of them is wrong."""
 
     keys: tuple[str, ...]
     broken: Callable[[Values], Broken | None]

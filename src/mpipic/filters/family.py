@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 
 class TooLarge(MemoryError):
-    """What a filter needs would not fit into the memory of this machine; the message says by how much."""
+    """A filter's arrays would not fit into the memory of this machine; the message says by how much."""
 
 
 class FilterPart(Part):
-    """What a scene can name as its filter, `none` among it.
+    """Can be named by a scene as its filter; `none` is one too.
 
     Attributes
     ----------

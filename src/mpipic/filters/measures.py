@@ -1,4 +1,4 @@
-"""What filters tell about a state: the share of it that no node sees."""
+"""Filters tell one thing about a state: the share of it that no node sees."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 TOLERANCE = 1e-14
 """Relative residual of the triplets."""
 MOST_RESTARTS = 30
-"""Of Lanczos, which here has room for all vectors at once and needs no more than a few."""
+"""Most restarts of Lanczos, which here has room for all vectors at once and needs no more than a few."""
 
 
 class RowSpace:

@@ -113,7 +113,7 @@ class OrderFilter(_Series):
 
 
 class ChebyshevFilter(_Series):
-    """As `order`, at the same cost, with 1 - λ p_k(λ) = (1 - λ) T(λ), T the Chebyshev polynomial of degree k - 1.
+    """Does as `order`, at the same cost, with 1 - λ p_k(λ) = (1 - λ) T(λ), T the Chebyshev polynomial of degree k - 1.
 
     T is scaled to [λ_low, 1] and to T(0) = 1. It is smaller in the operator norm than (1 - λ)^(k-1), which in turn is
     flatter on long waves; the factor 1 - λ keeps constants exact. This is the Chebyshev iteration for SΦ a = S q, begun

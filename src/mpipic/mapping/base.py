@@ -1,4 +1,4 @@
-"""What every mapping between particles and nodes can do, whoever keeps the particles.
+"""Every mapping between particles and nodes can do this, whoever keeps the particles.
 
 Symbols as in the method: Φ interpolates nodes to particles, D^a differentiates, V are particle weights (1 by default),
 d = ΦᵀV1 are the row sums, S = diag(d)⁻¹ΦᵀV is the paper's mapping matrix, and G = ΦᵀVΦ.

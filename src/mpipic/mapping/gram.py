@@ -37,7 +37,7 @@ MARGIN = 1.5
 
 
 class GramSource(Protocol):
-    """What G is made of: what a mapping gives."""
+    """A mapping gives this to make G of."""
 
     grid: Grid
     row_sums: FloatArray

@@ -96,7 +96,7 @@ class GramStencil:
 
     @cached_property
     def preconditioner(self) -> TensorPreconditioner:
-        """What nearly inverts the scaled G, for all who solve with it; made when first asked for. Collective."""
+        """The stencil that nearly inverts the scaled G, for all who solve; made when first asked for. Collective."""
         from mpipic.mapping.preconditioner import TensorPreconditioner
 
         return TensorPreconditioner(proxy(self))  # no cycle of references, see `Gram`

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Gain:
-    """What particle values gain in a stage, times a factor of the equation and of time.
+    """Particle values gain this in a stage, times a factor of the equation and of time.
 
     Attributes
     ----------

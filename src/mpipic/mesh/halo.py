@@ -155,7 +155,7 @@ class Halo:
         self._exchange(self._forest.bcastBegin, self._forest.bcastEnd, MPI.REPLACE, padded)
 
     def fill_rows(self, padded: FloatArray) -> None:
-        """As `fill`, for the rows of one array (k, local_nodes). Collective; one message to each neighbour."""
+        """Do as `fill` for the rows of one array (k, local_nodes). Collective; one message to each neighbour."""
         rows = len(padded)
         if rows not in self._forests:
             self._forests[rows] = self._join(rows)

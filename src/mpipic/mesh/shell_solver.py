@@ -17,7 +17,7 @@ Apply = Callable[[FloatArray], FloatArray]
 
 
 class _Product:
-    """What the shell matrix calls: it must not keep the solver alive, and must outlive it."""
+    """Is called by the shell matrix: it must not keep the solver alive, and must outlive it."""
 
     def __init__(self, owner: ShellSolver) -> None:
         self._owner = ref(owner)

@@ -154,7 +154,7 @@ class FromFile(Layout):
     @rule("particles.path")
     @staticmethod
     def file_can_be_read(v: Values) -> Broken | None:
-        """What is in the file is for its reader to check."""
+        """Say what keeps the file from being read; its content is for its reader to check."""
         dotted, name = "particles.path", v["particles.path"]
         if not name:
             return dotted, 'must name an HDF5 file with particles.layout = "file"'

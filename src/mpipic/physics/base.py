@@ -1,4 +1,4 @@
-"""What a physics is to the rest of the house: fields on particles, a step, and what it says about itself.
+"""A physics is this to the rest of the house: fields on particles, a step, and what it says about itself.
 
 A physics knows nothing of ranks, files and scenes. Whoever runs it asks which fields the particles carry, gives them
 their initial values, lets it take its place on the particles, and then steps. Everything that watches a run, errors,

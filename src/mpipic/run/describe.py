@@ -1,4 +1,4 @@
-"""What a scene builds and what it leaves out, in words and in bytes, without building it: its parts say it."""
+"""Tells what a scene builds and leaves out, in words and in bytes, without building it: its parts say it."""
 
 from __future__ import annotations
 

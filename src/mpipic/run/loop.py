@@ -48,7 +48,7 @@ class Outcome:
 
 
 class Observer(Protocol):
-    """What watches a run; every method is called on all ranks together, except `progress`."""
+    """Watches a run; every method is called on all ranks together, except `progress`."""
 
     def record(self, step: int, time: float, peak: float, report: ErrorReport | None) -> None:
         """Take the largest size of the watched field, and errors where they were asked for."""

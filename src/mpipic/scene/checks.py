@@ -182,7 +182,7 @@ class Draft:
         return len(cells) if isinstance(cells, tuple) and 1 <= len(cells) <= 3 else None
 
     def _choose_either(self, part: type[Part], given: list[str]) -> None:
-        """Of keys that say one thing in several ways, keep the one that is given; without any, the first."""
+        """Keep, where keys say one thing in several ways, the one that is given; without any, the first."""
         dotted = [f"{part.section()}.{name}" for name in given or part.either[:1]]
         for other in dotted[1:]:
             rule = f"give either {' or '.join(dotted)}, not both; {dotted[0]} is {show(self.values[dotted[0]])}"

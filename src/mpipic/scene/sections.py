@@ -89,7 +89,7 @@ class Time(Part):
 
 
 class Output(Part):
-    """What a run writes and reports beside its summary."""
+    """Holds what a run writes and reports beside its summary."""
 
     slot = "output"
     about = "snapshots and reports"

@@ -1,4 +1,4 @@
-"""What a step takes away on purpose."""
+"""A step takes something away on purpose: waves too short for the grid, and what no node sees."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def _broken(dotted: str, v: Values) -> Broken | None:
 
 @dataclass(frozen=True)
 class Damping(Part):
-    """What a step takes away on purpose.
+    """Takes away in every step, on purpose: waves too short for the grid, and what no node sees.
 
     Attributes
     ----------

@@ -24,7 +24,7 @@ class State(NamedTuple):
 
 
 class Change(NamedTuple):
-    """What one field gains in a step: a factor times the coefficients of a `Gain`."""
+    """One field gains this in a step: a factor times the coefficients of a `Gain`."""
 
     factor: float
     coefficients: FloatArray
@@ -32,7 +32,7 @@ class Change(NamedTuple):
 
 @dataclass(frozen=True)
 class Step:
-    """What an integrator makes of a step.
+    """An integrator makes this of a step.
 
     Attributes
     ----------

@@ -64,7 +64,7 @@ def _direction() -> Any:
 
 
 class Profile(Part):
-    """What a run starts from."""
+    """A run starts from one of these."""
 
     slot = "initial.profile"
     physics = "acoustics"
