@@ -96,9 +96,7 @@ def test_the_step_on_particles_is_the_dense_one(dim, kind, name, flow):
         close(field, expected, allowed(kind, 1e-12), scale=max(size, *length))
 
 
-@every_dimension
-@every_nodal_kind
-@pytest.mark.parametrize("name", ["random", "lattice"])
+@pytest.mark.parametrize(("dim", "kind", "name"), covering(2, (1, 2, 3), NODAL, ("random", "lattice")))
 def test_after_a_step_the_sweep_has_mapped_the_new_state(dim, kind, name):
     cells, length, *particles, displacement = case(dim, name, "slow")
     grid = grid_of(cells, length)
