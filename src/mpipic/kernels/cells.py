@@ -121,9 +121,9 @@ def _add_edge_3d(out, k, n, row, plane, a0, a1, a2, a3):
 
 
 @hot
-def gram_1d(moments, shape, layout, values, out):
-    """Add G values to `out`, column 0 of both."""
-    m, e, z = moments.reshape(-1), U(1), U(0)
+def gram_1d(moments, shape, layout, values, out, column):
+    """Add G values to `out`, one column of both."""
+    m, e, z = moments.reshape(-1), U(1), U(column)
     right, v0 = 0.0, values[U(layout[0]), z]
     for i in range(shape[0]):
         q, n = U(3 * i), U(layout[0] + i)
@@ -135,9 +135,9 @@ def gram_1d(moments, shape, layout, values, out):
 
 
 @hot
-def gram_2d(moments, shape, layout, values, out):
-    """Add G values to `out`, column 0 of both."""
-    m, v, row, e, z = moments.reshape(-1), values, U(layout[1]), U(1), U(0)
+def gram_2d(moments, shape, layout, values, out, column):
+    """Add G values to `out`, one column of both."""
+    m, v, row, e, z = moments.reshape(-1), values, U(layout[1]), U(1), U(column)
     for j in range(shape[1]):
         n = U(layout[0] + j * layout[1])
         r0, r1, v0, v2 = 0.0, 0.0, v[n, z], v[n + row, z]
@@ -153,9 +153,9 @@ def gram_2d(moments, shape, layout, values, out):
 
 
 @hot
-def gram_3d(moments, shape, layout, values, out):
-    """Add G values to `out`, column 0 of both."""
-    m, v, row, plane, e, z = moments.reshape(-1), values, U(layout[1]), U(layout[2]), U(1), U(0)
+def gram_3d(moments, shape, layout, values, out, column):
+    """Add G values to `out`, one column of both."""
+    m, v, row, plane, e, z = moments.reshape(-1), values, U(layout[1]), U(layout[2]), U(1), U(column)
     for k in range(shape[2]):
         for j in range(shape[1]):
             n = U(layout[0] + k * layout[2] + j * layout[1])

@@ -112,16 +112,16 @@ class Gram:
         else:
             into.fill(0.0)
             for column in range(wide.shape[1]):
-                self._add(wide[:, column : column + 1], into[:, column : column + 1])
+                self._add(wide, into, column)
             self.mapping.complete(into)
         return result
 
-    def _add(self, nodal: FloatArray, out: FloatArray) -> None:
+    def _add(self, nodal: FloatArray, out: FloatArray, column: int) -> None:
         grid, moments = self.mapping.grid, self.mapping.moments
         if moments is None:
-            self.mapping.add_passed(nodal, out)
-        else:
-            BY_DIMENSION[grid.dim].gram(moments, grid.padded_shape, grid.layout, nodal, out)
+            self.mapping.add_passed(nodal[:, column : column + 1], out[:, column : column + 1])
+        else:  # the whole arrays, not a slice: the loop is compiled for contiguous ones
+            BY_DIMENSION[grid.dim].gram(moments, grid.padded_shape, grid.layout, nodal, out, column)
 
     def _pays(self, columns: int) -> bool:
         """Return whether to assemble, from the columns so far at these positions or in all at those before.
