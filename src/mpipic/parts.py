@@ -40,6 +40,8 @@ NODAL_GRADIENTS = "gradients taken on the nodes"
 LEAST_SQUARES = "least-squares fields"
 GRAM_SOLVER = "a mass that solves with the Gram matrix itself"
 PENALTY = "a mass with a penalty"
+SIGNALS = "signals, whose speed is known"
+EXACT_SOLUTION = "an exact solution"
 
 
 class Values(Mapping[str, Any]):

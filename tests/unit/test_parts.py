@@ -166,6 +166,51 @@ def test_a_new_filter_is_in_the_registry_and_runs(toy: type[NodalFilter]) -> Non
     simulation.close()
 
 
+# ---------------------------------------------------------------- another physics
+
+
+@pytest.fixture
+def waterless() -> Iterator[None]:
+    """A physics with a section of its own, whose signals are not known."""
+
+    class Waterless(Part):
+        slot = "physics.kind"
+        kind = "waterless"
+        about = "nothing moves"
+
+    class Desert(Part):
+        slot = "desert"
+        physics = "waterless"
+        about = "sand"
+
+        class Settings(Keys):
+            dunes: Count = key(3, FROM_1, "dunes on the way")
+
+    yield
+    parts.forget(Desert)
+    parts.forget(Waterless)
+
+
+def test_a_physics_brings_sections_of_its_own_and_those_of_others_are_unused(waterless: None) -> None:
+    scene = Scene.load(None, ["physics.kind=waterless", "desert.dunes=5", "gas.density=2.0"])
+    assert scene.desert.dunes == 5 and "gas" not in scene.to_dict() and "initial" not in scene.to_dict()
+    assert list(scene.to_dict()) == ["physics", "grid", "particles", "desert", "mapping", "filter", "time", "output"]
+    assert Scene.from_toml(scene.to_toml()) == scene
+    (unused,) = scene.unused
+    assert str(unused) == 'gas.density = 2.0 is not used: physics.kind = "waterless" has no gas.density'
+    (unused,) = Scene.load(None, ["desert.dunes=5"]).unused
+    assert str(unused) == 'desert.dunes = 5 is not used: physics.kind = "acoustics" has no desert.dunes'
+    assert message("desert.dunes=0") == "desert.dunes = 0: must be a whole number, 1 or above"
+    assert message("desert.dune=1").endswith('[desert] has dunes. Did you mean "desert.dunes"?')
+
+
+def test_a_step_in_cells_that_signals_travel_needs_signals(waterless: None) -> None:
+    assert message("physics.kind=waterless", "time.cfl=0.1") == (
+        'time.cfl = 0.1: needs signals, which physics.kind = "waterless" has none of: give time.dt'
+    )
+    assert Scene.load(None, ["physics.kind=waterless", "time.dt=0.1"]).dt == 0.1
+
+
 # ---------------------------------------------------------------- the door and the table
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from mpipic.console import Console, Progress
 from mpipic.errors import NotConverged
 from mpipic.io.run_directory import ERROR_PLOT, PARTICLES, SOLUTION_PLOT, RunDirectory
+from mpipic.parts import A_FILTER, PENALTY
 from mpipic.phases import Phases
 from mpipic.run import describe
 from mpipic.run.diagnostics import ErrorReport
@@ -219,8 +220,8 @@ def _blame(scene: Scene, limit: float | None) -> str:
     if limit is not None and scene.cfl > limit:
         return f"cause: the time step; the scheme takes CFL up to {limit:.3g}: try time.cfl={0.9 * limit:.2g}"
     cause = "cause: null-space noise, which grows as particles cross cells; mpipic stability computes how fast"
-    remedies = ["filter.kind=local delays it"] if scene.filter.kind == "none" else []
-    remedies += [] if scene.mapping.mass == "penalised" else ["--preset recommended avoids it"]
+    remedies = [] if scene.values.has(A_FILTER) else ["filter.kind=local delays it"]
+    remedies += [] if scene.values.has(PENALTY) else ["--preset recommended avoids it"]
     return "; ".join([cause, *remedies])
 
 

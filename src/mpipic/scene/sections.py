@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import AfterValidator, Field
 
 from mpipic.keys import ABOVE_0, FROM_0, ByScene, Count, CountOrZero, Keys, Positive, is_normal, key
-from mpipic.parts import Broken, Part, Values, rule
+from mpipic.parts import SIGNALS, Broken, Part, Values, rule
 from mpipic.wording import show
 
 CELL_LIMIT = 2**31
@@ -86,6 +86,14 @@ class Time(Part):
             100.0, "a finite number above 1", "|density| this many times its start ends a run as unstable"
         )
         steps: CountOrZero = key(1000, FROM_0, "steps of the run")
+
+    @rule("time.cfl", "physics.kind")
+    @staticmethod
+    def cells_travelled_need_a_speed(v: Values) -> Broken | None:
+        """A physics without signals cannot say how long a step is that takes them so many cells on."""
+        if v["time.cfl"] is None or v.has(SIGNALS):
+            return None
+        return "time.cfl", f"needs signals, which physics.kind = {show(v['physics.kind'])} has none of: give time.dt"
 
 
 class Output(Part):

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import mpipic.run.parts  # noqa: F401  all that scenes can name
-from mpipic.parts import alternatives, sections
+from mpipic.parts import EXACT_SOLUTION, alternatives, sections
 from mpipic.run.ranks import check_ranks
 from mpipic.scene.records import Problem, Scene, SceneError
 from mpipic.wording import show
@@ -187,8 +187,8 @@ def _check(scene: Scene, ranks: object) -> int:
     if isinstance(ranks, bool) or not isinstance(ranks, int) or ranks < 1:
         raise SceneError([Problem(RANKS, ranks, "must be a whole number, 1 or above")])
     check_ranks(scene, ranks)
-    if scene.initial.profile == "file":
-        raise SceneError([Problem("initial.profile", "file", "has no exact solution to compare with")])
+    if not scene.values.has(EXACT_SOLUTION):
+        raise SceneError([Problem("initial.profile", scene.initial.profile, "has no exact solution to compare with")])
     return ranks
 
 

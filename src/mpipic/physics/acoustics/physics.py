@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from mpipic.arrays import FloatArray, Shape
-from mpipic.parts import A_FILTER, NODAL_FILTER, Values
+from mpipic.parts import A_FILTER, NODAL_FILTER, SIGNALS, Values
 from mpipic.physics.acoustics.damping import Damping
 from mpipic.physics.acoustics.gas import Gas
 from mpipic.physics.base import Fields, Physics
@@ -80,6 +80,7 @@ class Acoustics(Physics):
     kind = "acoustics"
     about = "linearised gas dynamics about a uniform flow"
     is_default = True
+    traits = (SIGNALS,)
     watched = "density"
     symbols: Mapping[str, str] = {"density": "ρ", "velocity": "u"}
     compared = ("density", "velocity")

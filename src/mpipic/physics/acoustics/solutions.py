@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 
 from mpipic.arrays import FloatArray
 from mpipic.keys import ABOVE_0, ByScene, Finite, Keys, Positive, is_normal, key
-from mpipic.parts import Broken, Choices, Part, Values, rule
+from mpipic.parts import EXACT_SOLUTION, Broken, Choices, Part, Values, rule
 from mpipic.physics.acoustics.cosines import (
     CHUNK,
     EXPONENT,
@@ -115,6 +115,7 @@ class Solution(Profile, ABC):
     """
 
     brings_in = ("exact solution and errors", "linear solvers")
+    traits = (EXACT_SOLUTION,)
 
     @classmethod
     def brings(cls, v: Values) -> tuple[str, ...]:
