@@ -177,18 +177,19 @@ def is_refusal(found: SimpleNamespace, lines: list[str]) -> None:
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("ranks", [1, 2])
 @pytest.mark.parametrize(("verb", "name"), ALL)
-def test_a_mistake_is_named_once_with_exit_code_2(said: Said, verb: str, name: str, ranks: int) -> None:
-    found = said(ranks, f"{verb}-{name}")
-    is_refusal(found, [line.replace(HERE, found.here) for line in {**SCENES, **RUNS}[name][1]])
+def test_a_mistake_is_named_once_with_exit_code_2(said: Said, verb: str, name: str) -> None:
+    for ranks in (1, 2):
+        found = said(ranks, f"{verb}-{name}")
+        is_refusal(found, [line.replace(HERE, found.here) for line in {**SCENES, **RUNS}[name][1]])
 
 
 @pytest.mark.mpi
 @pytest.mark.parametrize("ranks", [1, 2])
-@pytest.mark.parametrize("name", [name for name in {**SCENES, **RUNS} if not name.startswith("output-")])
-def test_a_refused_scene_leaves_no_run_directory(said: Said, name: str, ranks: int) -> None:
-    assert not (said(ranks, f"run-{name}").place / f"runs-{name}").exists()
+def test_a_refused_scene_leaves_no_run_directory(said: Said, ranks: int) -> None:
+    names = [name for name in {**SCENES, **RUNS} if not name.startswith("output-")]
+    left = [name for name in names if (said(ranks, f"run-{name}").place / f"runs-{name}").exists()]
+    assert len(names) > 20 and left == []
 
 
 @pytest.mark.mpi

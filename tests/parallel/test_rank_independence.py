@@ -134,10 +134,7 @@ def several(results: Callable[..., Result], name: str) -> list[tuple[int, Result
     return [(ranks, results(name, ranks)) for ranks in RANKS_OF[name] if ranks > 1]
 
 
-every_case = pytest.mark.parametrize("name", RANKS_OF)
-
-
-@every_case
+@pytest.mark.parametrize("name", RANKS_OF)
 def test_particles_end_the_same_on_any_number_of_ranks(results: Callable[..., Result], name: str) -> None:
     one = results(name, 1)
     for ranks, many in several(results, name):
@@ -152,46 +149,54 @@ def test_particles_end_the_same_on_any_number_of_ranks(results: Callable[..., Re
             assert difference <= tolerance * float(np.abs(expected).max()), (ranks, field)
 
 
-@every_case
-def test_no_particle_is_lost_doubled_or_misplaced(results: Callable[..., Result], name: str) -> None:
-    for ranks, many in several(results, name):
-        total = len(many.ids_before)
-        assert np.array_equal(many.ids_before, np.arange(total)), ranks
-        assert np.array_equal(many.ids, np.arange(total)), ranks
-        assert np.array_equal(many.owner, many.rank) and np.array_equal(many.owner_before, many.rank_before), ranks
-        assert many.counts.shape[0] == ranks and np.all(many.counts.sum(axis=0) == total), f"{ranks}: at every step"
+GROUPS = {"flow": FLOWS, "still": STILL, "clusters": CLUSTERS}
 
 
-@pytest.mark.parametrize("name", [name for name in RANKS_OF if name not in STILL])
-def test_particles_changed_rank_and_were_counted(results: Callable[..., Result], name: str) -> None:
-    for ranks, many in several(results, name):
-        changed = np.count_nonzero(many.rank != many.rank_before)
-        journeys = many.migrated[:, -1].sum()
-        total = len(many.ids)
-        # a cluster may be back where it began
-        assert journeys >= max(changed, 1) and (changed > 0 or name in CLUSTERS), ranks
-        if total > 2:
-            assert journeys > total / 8, f"{ranks}: too few to trust the comparison"
-        if name in FLOWS:
-            assert np.all(many.migrated[:, -1] > 0), f"{ranks}: every rank was sent some"
+@pytest.mark.parametrize("group", GROUPS)
+def test_no_particle_is_lost_doubled_or_misplaced(results: Callable[..., Result], group: str) -> None:
+    for name in GROUPS[group]:
+        for ranks, many in several(results, name):
+            total, case = len(many.ids_before), (name, ranks)
+            assert np.array_equal(many.ids_before, np.arange(total)), case
+            assert np.array_equal(many.ids, np.arange(total)), case
+            assert np.array_equal(many.owner, many.rank) and np.array_equal(many.owner_before, many.rank_before), case
+            assert many.counts.shape[0] == ranks and np.all(many.counts.sum(axis=0) == total), f"{case}: at every step"
 
 
-@pytest.mark.parametrize("name", STILL)
-def test_without_flow_nothing_moves(results: Callable[..., Result], name: str) -> None:
-    for ranks, many in several(results, name):
-        assert np.array_equal(many.coordinate, many.coordinate_before) and not many.migrated.any(), ranks
+def test_with_a_flow_every_rank_is_sent_particles_and_counts_them(results: Callable[..., Result]) -> None:
+    for name in FLOWS:
+        for ranks, many in several(results, name):
+            changed, journeys = np.count_nonzero(many.rank != many.rank_before), many.migrated[:, -1].sum()
+            assert 0 < changed <= journeys, (name, ranks)
+            assert journeys > len(many.ids) / 8, f"{name}, {ranks}: too few to trust the comparison"
+            assert np.all(many.migrated[:, -1] > 0), (name, ranks)
 
 
-@pytest.mark.parametrize("name", FLOWS)
-def test_particles_travel_with_the_flow_around_the_period(results: Callable[..., Result], name: str) -> None:
-    ranks = max(FLOWS[name][1])
-    many = results(name, ranks)
-    expected = np.mod(many.position_before + many.moved, many.length)
-    distance = np.abs(many.position - expected)
-    assert np.all(np.minimum(distance, many.length - distance) < 1e-11 * (1 + np.abs(many.moved)))
-    assert np.all((many.position >= 0) & (many.position < many.length))
-    wrapped = np.floor((many.position_before + many.moved) / many.length).any(axis=1)
-    assert wrapped.any() and len(set(many.rank[wrapped])) > 1, "the period must have been crossed"
+def test_clusters_go_from_rank_to_rank(results: Callable[..., Result]) -> None:
+    """Each may be back where it began."""
+    for name in CLUSTERS:
+        for ranks, many in several(results, name):
+            changed, journeys = np.count_nonzero(many.rank != many.rank_before), many.migrated[:, -1].sum()
+            assert journeys >= max(changed, 1), (name, ranks)
+            assert journeys > len(many.ids) / 8 or len(many.ids) <= 2, f"{name}, {ranks}: too few to trust"
+
+
+def test_without_flow_nothing_moves(results: Callable[..., Result]) -> None:
+    for name in STILL:
+        for ranks, many in several(results, name):
+            assert np.array_equal(many.coordinate, many.coordinate_before), (name, ranks)
+            assert not many.migrated.any(), (name, ranks)
+
+
+def test_particles_travel_with_the_flow_around_the_period(results: Callable[..., Result]) -> None:
+    for name, (_, numbers) in FLOWS.items():
+        many = results(name, max(numbers))
+        expected = np.mod(many.position_before + many.moved, many.length)
+        distance = np.abs(many.position - expected)
+        assert np.all(np.minimum(distance, many.length - distance) < 1e-11 * (1 + np.abs(many.moved))), name
+        assert np.all((many.position >= 0) & (many.position < many.length)), name
+        wrapped = np.floor((many.position_before + many.moved) / many.length).any(axis=1)
+        assert wrapped.any() and len(set(many.rank[wrapped])) > 1, f"{name}: the period must have been crossed"
 
 
 def test_every_axis_is_split_in_2d_and_3d(results: Callable[..., Result]) -> None:

@@ -81,15 +81,12 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, int], Re
     return simulated(tmp_path_factory.mktemp("schemes"), CASES)
 
 
-every_case = pytest.mark.parametrize("name", CASES)
-
-
 def several(results: Callable[..., Result], name: str) -> list[tuple[int, Result]]:
     """The case on all its numbers of ranks above 1."""
     return [(ranks, results(name, ranks)) for ranks in CASES[name][1] if ranks > 1]
 
 
-@every_case
+@pytest.mark.parametrize("name", CASES)
 def test_particles_end_the_same_on_any_number_of_ranks(results: Callable[..., Result], name: str) -> None:
     one = results(name, 1)
     for ranks, many in several(results, name):
@@ -101,15 +98,15 @@ def test_particles_end_the_same_on_any_number_of_ranks(results: Callable[..., Re
             assert np.abs(found - expected).max() <= TOLERANCE * np.abs(expected).max(), (ranks, field)
 
 
-@every_case
-def test_particles_changed_rank_and_none_was_lost(results: Callable[..., Result], name: str) -> None:
-    for ranks, many in several(results, name):
-        total = len(many.ids)
-        assert np.array_equal(many.ids, np.arange(total)) and np.all(many.counts.sum(axis=0) == total), ranks
-        assert np.array_equal(many.owner, many.rank), ranks
-        assert np.count_nonzero(many.rank != many.rank_before) > 0, ranks
-        assert many.migrated[:, -1].sum() > total / 8, ranks
-        assert np.all(many.migrated[:, -1] > 0), f"{ranks}: every rank was sent some"
+def test_particles_changed_rank_and_none_was_lost(results: Callable[..., Result]) -> None:
+    for name in CASES:
+        for ranks, many in several(results, name):
+            total, case = len(many.ids), (name, ranks)
+            assert np.array_equal(many.ids, np.arange(total)) and np.all(many.counts.sum(axis=0) == total), case
+            assert np.array_equal(many.owner, many.rank), case
+            assert np.count_nonzero(many.rank != many.rank_before) > 0, case
+            assert many.migrated[:, -1].sum() > total / 8, case
+            assert np.all(many.migrated[:, -1] > 0), f"{case}: every rank was sent some"
 
 
 @pytest.mark.parametrize(

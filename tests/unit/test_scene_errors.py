@@ -180,16 +180,18 @@ def test_every_key_that_is_not_a_choice_is_among_the_bad_values():
     assert set(BAD_VALUES) == keys - set(CHOOSERS)
 
 
-@pytest.mark.parametrize(("key", "value"), [(key, value) for key, values in BAD_VALUES.items() for value in values])
-def test_a_value_of_the_wrong_type_or_range_is_refused_by_name(key, value):
-    text = message(f"{key}={value}")
-    assert text.startswith(f"{key} = ") and ": must be " in text
+@pytest.mark.parametrize("key", BAD_VALUES)
+def test_a_value_of_the_wrong_type_or_range_is_refused_by_name(key):
+    for value in BAD_VALUES[key]:
+        text = message(f"{key}={value}")
+        assert text.startswith(f"{key} = ") and ": must be " in text, value
 
 
-@pytest.mark.parametrize(("key", "value"), [(key, value) for key in CHOOSERS for value in ("3", "true", '""', "[]")])
-def test_a_choice_that_is_no_name_is_refused_with_the_choices(key, value):
-    text = message(f"{key}={value}")
-    assert all(name in text for name in parts.choices(key, "acoustics"))
+@pytest.mark.parametrize("key", CHOOSERS)
+def test_a_choice_that_is_no_name_is_refused_with_the_choices(key):
+    for value in ("3", "true", '""', "[]"):
+        text = message(f"{key}={value}")
+        assert all(name in text for name in parts.choices(key, "acoustics")), value
 
 
 def test_a_number_in_quotes_is_recognised():
