@@ -36,11 +36,14 @@ def errors(profile, dim, levels, dt_of_h=lambda h: 3.2 * h * h, layout="lattice"
     return found
 
 
-@pytest.mark.parametrize("flow", [FLOW, (0.0,), (-0.7,)])
 @pytest.mark.parametrize(
-    "profile, levels, cap", [("plane-wave", (16, 32, 64, 128), 2e-3), ("gaussian", (32, 64, 128, 256), 9e-4)]
+    "profile, flow, levels, cap",
+    [
+        *(("plane-wave", flow, (16, 32, 64, 128), 2e-3) for flow in (FLOW, (0.0,), (-0.7,))),
+        ("gaussian", (-0.7,), (32, 64, 128, 256), 9e-4),
+    ],
 )
-def test_second_order_in_1d_when_dt_goes_with_h_squared(profile, levels, cap, flow):
+def test_second_order_in_1d_when_dt_goes_with_h_squared(profile, flow, levels, cap):
     found = errors(profile, 1, levels, flow=flow)
     assert np.mean(orders(found)) == pytest.approx(2.0, abs=0.25)
     assert found[-1] < cap
@@ -57,8 +60,6 @@ def test_first_order_in_1d_when_dt_goes_with_h():
     "dim, profile, wave, levels, cap",
     [
         (2, "standing-wave", [1, 1], (8, 16, 32, 64), 9e-3),
-        (2, "plane-wave", [1, 1], (8, 16, 32, 64), 1.2e-2),
-        (3, "standing-wave", [1, 1, 1], (4, 8, 16, 32), 2.5e-2),
         (3, "plane-wave", [1, 0, -1], (4, 8, 16, 32), 5e-2),
     ],
 )

@@ -10,6 +10,7 @@ from statistics import linear_regression
 import numpy as np
 import pytest
 
+from covering_helpers import covering
 from helpers import ROOT
 from mpipic.scene.records import Scene
 from run_helpers import error_of, orders, run_scene, scene_of
@@ -90,9 +91,7 @@ def random_pulse(per_cell, seed, preset, changes=()):
     return Scene.load(None, [f"{key}={value}" for key, value in keys.items()], preset)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
-@pytest.mark.parametrize("per_cell", [1, 2, 4])
-@pytest.mark.parametrize("name", RANDOM)
+@pytest.mark.parametrize("name, per_cell, seed", covering(2, RANDOM, (1, 2, 4), (0, 1, 2)))
 def test_on_random_particles_penalised_splines_are_accurate(name, per_cell, seed):
     changes, errors = RANDOM[name]
     assert error_of(random_pulse(per_cell, seed, "recommended", changes.items())) < errors[per_cell]

@@ -84,18 +84,9 @@ def test_the_papers_svd_filter_gives_the_errors_of_the_table():
     assert {step: f"{l2(run, step):.4e}" for step in GLOBAL} == GLOBAL
 
 
-def ends_unstable_between_3000_and_5000(run):
-    _, outcome, reports = run
+def test_the_exact_projection_ends_unstable_between_steps_3000_and_5000(exact):
+    """It removes what the nodes do not see and leaves all else, which grows: from rounding, so the step differs."""
+    _, outcome, reports = exact
     assert outcome.status == "unstable" and 3000 < outcome.step < 5000
     assert outcome.blow_up.step == outcome.step
     assert reports.peaks[max(step for step in reports.peaks if step <= 3000)] < 1.0
-
-
-def test_the_exact_projection_ends_unstable_between_steps_3000_and_5000(exact):
-    """It removes what the nodes do not see and leaves all else, which grows: from rounding, so the step differs."""
-    ends_unstable_between_3000_and_5000(exact)
-
-
-@pytest.mark.slow
-def test_the_papers_svd_filter_ends_unstable_between_steps_3000_and_5000():
-    ends_unstable_between_3000_and_5000(run_scene(scene_of(filter={"kind": "svd"}, time={"steps": 5000})))
