@@ -48,3 +48,9 @@ def test_what_a_scene_leaves_out_is_said():
     assert dict(advice.built(scene))["filter"] == "none"
     assert {"filter", "SLEPc", "h5py", "snapshots", "linear solvers", "y", "z"} <= set(advice.left_out(scene))
     assert "filter" not in advice.left_out(scene_of([8], "local"))
+
+
+def test_keys_that_nothing_uses_are_all_left_out_in_the_order_given():
+    scene = Scene.load(None, ["particles.jitter=0.4", "filter.order=3", "particles.seed=7"])
+    assert [one.key for one in scene.unused] == ["particles.jitter", "particles.seed", "filter.order"]
+    assert advice.left_out(scene)[-3:] == [one.key for one in scene.unused]

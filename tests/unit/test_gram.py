@@ -235,7 +235,7 @@ def test_the_short_inverse_is_positive_definite_whatever_the_coupling(coupling):
 
 
 @pytest.mark.parametrize("reach", [2, 5, 8])
-@pytest.mark.parametrize("far", [1, 2, 3])
+@pytest.mark.parametrize("far", [1, 3, 8])
 def test_it_is_so_for_any_reach_and_couplings_that_no_matrix_of_particles_has(reach, far):
     theta = 2.0 * np.pi * np.arange(512) / 512
     cosines = 2.0 * np.cos(theta[:, None] * np.arange(9))
