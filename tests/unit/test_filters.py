@@ -195,7 +195,7 @@ def weighted_case(box, name, kind, uniform=None):
     return make(kind, mapping), Dense(cells, length, position, weight), weight
 
 
-@covered
+@some
 def test_with_weights_a_filter_is_its_weighted_formula(kind, box, name):
     filter_, dense, weight = weighted_case(box, name, kind)
     q = noise(len(weight))

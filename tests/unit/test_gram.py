@@ -59,7 +59,7 @@ def test_the_stencil_times_a_vector_is_the_scaled_gram_matrix_times_it(box, name
     close(times(matrix.mult, np.eye(n)), scaled_gram(matrix, dense), scale=1.0)
 
 
-@any_case
+@pytest.mark.parametrize(("box", "name"), few_cases(names=("random", "few", "on nodes")))
 def test_assembled_entries_are_those_of_the_stencil(box, name):
     mapping, dense = mapped(box, name)
     matrix, n = GramStencil(mapping), mapping.grid.node_count

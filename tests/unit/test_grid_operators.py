@@ -117,25 +117,25 @@ def test_on_arrays_of_any_basis_derivatives_and_low_pass_are_the_same(basis, dim
 
 
 @every_dimension
-@every_order
-def test_differences_are_skew_symmetric_and_keep_sums_at_zero(dim, order):
+def test_differences_are_skew_symmetric_and_keep_sums_at_zero(dim):
     grid = Grid(*BOXES[dim], MPI.COMM_SELF)
-    difference = CentralDifference(grid, order)
     x, y = values(grid.node_count, 1, seed=1), values(grid.node_count, dim, seed=2)
-    gradient, divergence = applied(difference.gradient, grid, x), applied(difference.divergence, grid, y)
-    forth, back = np.sum(y * gradient), np.sum(x * divergence)
-    assert forth == pytest.approx(-back, rel=1e-11) and abs(forth) > 0.1
-    close(gradient.sum(axis=0), np.zeros(dim), 1e-13, scale=np.abs(gradient).sum())
-    assert abs(divergence.sum()) < 1e-13 * np.abs(divergence).sum()
+    for order in ORDERS:
+        difference = CentralDifference(grid, order)
+        gradient, divergence = applied(difference.gradient, grid, x), applied(difference.divergence, grid, y)
+        forth, back = np.sum(y * gradient), np.sum(x * divergence)
+        assert forth == pytest.approx(-back, rel=1e-11) and abs(forth) > 0.1, order
+        close(gradient.sum(axis=0), np.zeros(dim), 1e-13, scale=np.abs(gradient).sum())
+        assert abs(divergence.sum()) < 1e-13 * np.abs(divergence).sum()
 
 
 @every_dimension
-@every_order
-def test_constants_have_no_derivatives(dim, order):
+def test_constants_have_no_derivatives(dim):
     grid = Grid(*BOXES[dim], MPI.COMM_SELF)
-    difference = CentralDifference(grid, order)
-    assert not applied(difference.gradient, grid, np.full((grid.node_count, 1), 3.7)).any()
-    assert not applied(difference.divergence, grid, np.full((grid.node_count, dim), 3.7)).any()
+    for order in ORDERS:
+        difference = CentralDifference(grid, order)
+        assert not applied(difference.gradient, grid, np.full((grid.node_count, 1), 3.7)).any(), order
+        assert not applied(difference.divergence, grid, np.full((grid.node_count, dim), 3.7)).any(), order
 
 
 def test_its_argument_is_not_changed():
@@ -153,8 +153,8 @@ def test_its_argument_is_not_changed():
 
 
 @pytest.mark.parametrize("order", range(1, 9))
-@pytest.mark.parametrize("strength", [0.0, 0.3, 1.0])
-def test_the_weights_of_the_low_pass_have_its_symbol(order, strength):
+def test_the_weights_of_the_low_pass_have_its_symbol(order):
+    strength = (0.3, 1.0)[order % 2]
     weights = grid_operators.low_pass_weights(order, strength)
     theta = np.linspace(0.0, np.pi, 50)
     symbol = weights[0] + 2.0 * np.cos(theta[:, None] * np.arange(1, order + 1)) @ weights[1:]

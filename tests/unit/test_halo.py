@@ -4,12 +4,12 @@ Values are whole numbers, so that sums are exact in any order.
 """
 
 import gc
+from itertools import product
 
 import numpy as np
 import pytest
 from mpi4py import MPI
 
-from covering_helpers import covering
 from mpipic.mesh.grid import Grid
 from mpipic.mesh.halo import Halo, PaddedColumns
 
@@ -74,17 +74,18 @@ def test_adding_gives_every_node_what_all_its_ghosts_hold_and_leaves_them_their_
     assert np.array_equal(padded[ghosts.ravel()], before[ghosts.ravel()])
 
 
-@pytest.mark.parametrize(("cells", "width", "columns"), covering(2, CELLS, (1, 2, 3), ((), (1,), (4,))), ids=str)
-def test_adding_is_the_transpose_of_filling(cells, width, columns):
+@every_block
+def test_adding_is_the_transpose_of_filling(cells):
     """<fill x, y> = <x, add y>, for every x on own nodes and every y on all."""
-    halo = halo_of(cells, width)
-    x, y = np.zeros((halo.local_nodes, *columns)), whole_numbers(halo.local_nodes, *columns, seed=2)
-    halo.own(x)[...] = whole_numbers(*cells[::-1], *columns)
-    filled, added = x.copy(), y.copy()
-    halo.fill(filled)
-    halo.add(added)
-    assert np.sum(filled * y) == np.sum(halo.own(x) * halo.own(added))
-    assert np.sum(filled * filled) > np.sum(x * x)
+    for width, columns in product((1, 2, 3), ((), (1,), (4,))):
+        halo = halo_of(cells, width)
+        x, y = np.zeros((halo.local_nodes, *columns)), whole_numbers(halo.local_nodes, *columns, seed=2)
+        halo.own(x)[...] = whole_numbers(*cells[::-1], *columns)
+        filled, added = x.copy(), y.copy()
+        halo.fill(filled)
+        halo.add(added)
+        assert np.sum(filled * y) == np.sum(halo.own(x) * halo.own(added)), (width, columns)
+        assert np.sum(filled * filled) > np.sum(x * x)
 
 
 @some_blocks

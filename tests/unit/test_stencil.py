@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from covering_helpers import covering
 from dense_helpers import GRIDS, close, few_cases, pattern
 from mpipic.kernels import stencil
 from mpipic.mapping.mapping import Mapping
@@ -108,26 +107,23 @@ def test_rows_become_scaled_diagonals_and_those_beyond_them_are_constant(cells, 
         close(diagonals[h], row * scale * there, 1e-15)
 
 
-@pytest.mark.parametrize(
-    ("cells", "columns", "count"),
-    covering(2, [*SHAPES, (2 * stencil.NODES_AT_ONCE + 7,), (90, 50)], (1, 3), (1, 2, 3, 4, 14)),
-    ids=str,
-)
-def test_multiplying_takes_every_diagonal_both_ways_and_one_number_on_the_main_one(cells, columns, count):
+@pytest.mark.parametrize("cells", [*SHAPES, (2 * stencil.NODES_AT_ONCE + 7,), (90, 50)], ids=str)
+def test_multiplying_takes_every_diagonal_both_ways_and_one_number_on_the_main_one(cells):
     """An even number of them, an odd one and none; for every column. diagonals[0] is not read."""
     halo = halo_of(cells, 1)
-    offsets = stencil.half_stencil(len(cells))[:count] @ np.array([1, *halo.layout[1:]])
-    rng = np.random.default_rng(3)
-    diagonals = rng.standard_normal((len(offsets), halo.local_nodes))
-    values = rng.standard_normal((columns, halo.local_nodes))
-    diagonals[0] = np.nan
-    nodes = halo.own(np.arange(halo.local_nodes)).ravel()
-    wanted = 1.5 * values[:, nodes]
-    for row, offset in zip(diagonals[1:], offsets[1:]):
-        wanted += row[nodes] * values[:, nodes + offset] + row[nodes - offset] * values[:, nodes - offset]
-    out = np.full(values.shape, np.nan)
-    stencil.multiply(diagonals, offsets, 1.5, values, padded(cells), halo.layout, out)
-    close(halo.own_rows(out).reshape(columns, -1), wanted, 1e-14)
+    for columns, count in product((1, 3), (1, 2, 3, 4, 14)):
+        offsets = stencil.half_stencil(len(cells))[:count] @ np.array([1, *halo.layout[1:]])
+        rng = np.random.default_rng(3)
+        diagonals = rng.standard_normal((len(offsets), halo.local_nodes))
+        values = rng.standard_normal((columns, halo.local_nodes))
+        diagonals[0] = np.nan
+        nodes = halo.own(np.arange(halo.local_nodes)).ravel()
+        wanted = 1.5 * values[:, nodes]
+        for row, offset in zip(diagonals[1:], offsets[1:]):
+            wanted += row[nodes] * values[:, nodes + offset] + row[nodes - offset] * values[:, nodes - offset]
+        out = np.full(values.shape, np.nan)
+        stencil.multiply(diagonals, offsets, 1.5, values, padded(cells), halo.layout, out)
+        close(halo.own_rows(out).reshape(columns, -1), wanted, 1e-14)
 
 
 def convolved(own, weights):
@@ -148,17 +144,16 @@ def convolve(halo, cells, weights, own):
     return out.reshape(own.shape)
 
 
-@pytest.mark.parametrize(
-    ("cells", "reach", "idle"), covering(2, SHAPES, (1, 2, 5), ((), (0,), (1,), (2,), (0, 1, 2))), ids=str
-)
-def test_convolving_is_the_product_of_one_stencil_per_axis(cells, reach, idle):
+@every_shape
+def test_convolving_is_the_product_of_one_stencil_per_axis(cells):
     """`idle` are axes whose stencil is the middle weight alone; on blocks smaller than the stencil too."""
     rng = np.random.default_rng(4)
-    weights = rng.standard_normal((3, reach + 1))
-    for axis in {*idle, *range(len(cells), 3)}:
-        weights[axis] = np.eye(1, reach + 1)[0]
-    own = rng.standard_normal(cells[::-1])
-    close(convolve(halo_of(cells, reach), cells, weights, own), convolved(own, weights), 1e-13)
+    for reach, idle in product((1, 2, 5), ((), (0,), (1,), (2,), (0, 1, 2))):
+        weights = rng.standard_normal((3, reach + 1))
+        for axis in {*idle, *range(len(cells), 3)}:
+            weights[axis] = np.eye(1, reach + 1)[0]
+        own = rng.standard_normal(cells[::-1])
+        close(convolve(halo_of(cells, reach), cells, weights, own), convolved(own, weights), 1e-13)
 
 
 @pytest.mark.parametrize("j", [0, 1, 2])

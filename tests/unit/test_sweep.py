@@ -258,7 +258,8 @@ def test_ids_stay_with_their_particles_through_moves_and_sorts(dim):
     ("dim", "moving", "bad", "where"), covering(2, (1, 2, 3), (True, False), (np.nan, np.inf, -np.inf), (0, 17, -1))
 )
 def test_a_value_that_is_no_number_shows_in_the_peak(dim, moving, bad, where):
-    grid, position, density, velocity, displacement = moving_case(dim, "random", "slow")
+    """Whichever block of particles it is in."""
+    grid, position, density, velocity, displacement = moving_case(dim, "crowd", "slow")
     density[where] = bad
     sweep = sweep_of(grid, position, density, velocity, displacement if moving else None)
     assert not np.isfinite(sweep.peak)
