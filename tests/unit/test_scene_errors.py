@@ -350,3 +350,17 @@ def test_nothing_far_off_is_suggested():
     assert refused("[zzz]").problems[0].suggestion is None
     assert closest("qqq", ("none", "local")) is None and closest(3, ("none",)) is None
     assert closest("LOCAL ", ("none", "local")) == "local"
+
+
+def test_of_two_keys_that_exclude_each_other_a_wrong_value_is_blamed_once():
+    with pytest.raises(SceneError) as caught:
+        Scene.from_dict({"time": {"cfl": -0.1, "dt": "x"}})
+    assert sorted(problem.key for problem in caught.value.problems) == ["time.cfl", "time.dt"]
+
+
+def test_lists_nested_too_deeply_are_a_wrong_value():
+    nested: list = []
+    for _ in range(5000):
+        nested = [nested]
+    with pytest.raises(SceneError, match=r"grid.cells = \S+: must be a list of 1 to 3 whole numbers"):
+        Scene.from_dict({"grid": {"cells": nested}})

@@ -184,7 +184,7 @@ class Draft:
     def _choose_either(self, part: type[Part], given: list[str]) -> None:
         """Keep, where keys say one thing in several ways, the one that is given; without any, the first."""
         dotted = [f"{part.section()}.{name}" for name in given or part.either[:1]]
-        for other in dotted[1:]:
+        for other in dotted[1:] if self.bad.isdisjoint(dotted) else ():
             rule = f"give either {' or '.join(dotted)}, not both; {dotted[0]} is {show(self.values[dotted[0]])}"
             self.refuse(other, rule)
         for name in part.either:
@@ -238,10 +238,12 @@ def _home(name: object, known: Mapping[str, list[str]]) -> str | None:
     return next((f"{section}.{name}" for section, keys in known.items() if name in keys), None)
 
 
-def _plain(value: Any) -> Any:
-    """Return lists as tuples, and arrays and numbers of NumPy as Python's."""
+def _plain(value: Any, depth: int = 3) -> Any:
+    """Return lists as tuples, down to a depth that no key has, and arrays and numbers of NumPy as Python's."""
     value = value.tolist() if hasattr(value, "tolist") else value
-    return tuple(_plain(item) for item in value) if isinstance(value, (list, tuple)) else value
+    if depth and isinstance(value, (list, tuple)):
+        return tuple(_plain(item, depth - 1) for item in value)
+    return value
 
 
 def _wrong(part: type[Part], given: Mapping[str, Any]) -> set[str]:
