@@ -8,10 +8,11 @@ import pytest
 from helpers import run_python
 
 README = Path(__file__).parents[2] / "README.md"
+PHYSICS = README.parent / "docs" / "physics.md"
 
 
-def python_blocks() -> list[str]:
-    return re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), flags=re.DOTALL)
+def python_blocks(document: Path = README) -> list[str]:
+    return re.findall(r"```python\n(.*?)```", document.read_text(encoding="utf-8"), flags=re.DOTALL)
 
 
 @pytest.mark.mpi
@@ -29,6 +30,23 @@ print("filtered", MPI.COMM_WORLD.rank)
     finished = run_python(ranks, script)
     assert finished.returncode == 0, finished.stderr
     assert finished.stdout.count("filtered") == ranks
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("ranks", [1, 3])
+def test_the_physics_example_moves_tracers_on_any_number_of_ranks(ranks, tmp_path):
+    (example,) = python_blocks(PHYSICS)
+    script = tmp_path / "example.py"
+    check = """
+arrived = MPI.COMM_WORLD.allreduce(simulation.physics.motion.migrated)
+assert before > 1000.0 and abs(after - before) < 1e-9 * before, (before, after)
+assert (arrived > 100) == (MPI.COMM_WORLD.size > 1), arrived
+print("conserved", MPI.COMM_WORLD.rank)
+"""
+    script.write_text(example + check, encoding="utf-8")
+    finished = run_python(ranks, script)
+    assert finished.returncode == 0, finished.stderr
+    assert finished.stdout.count("conserved") == ranks
 
 
 def test_every_file_that_readme_names_is_there():
