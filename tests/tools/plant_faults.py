@@ -13,6 +13,7 @@ import argparse
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -144,12 +145,12 @@ class Tests:
         began = time.monotonic()
         process = subprocess.Popen(
             words, env=self.variables, cwd=self.tree, text=True, stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True,
         )  # fmt: skip
         try:
             out, _ = process.communicate(timeout=seconds)
         except subprocess.TimeoutExpired:
-            process.terminate()
+            os.killpg(process.pid, signal.SIGTERM)  # mpiexec too, which takes its ranks along
             process.communicate()
             return Result((), time.monotonic() - began, f"no answer in {seconds:g} s")
         failed, spent = tuple(dict.fromkeys(FAILED.findall(out))), time.monotonic() - began
