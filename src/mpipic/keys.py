@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
@@ -110,5 +110,6 @@ class Key:
 
 
 def is_normal(*numbers: float) -> bool:
-    """Return whether all are above 0 and neither they nor their inverses overflow."""
-    return all(number > 0 and math.isfinite(number) and math.isfinite(1 / number) for number in numbers)
+    """Return whether all are above 0, and both they and their inverses are numbers of full precision."""
+    least = sys.float_info.min
+    return all(least <= number <= 1 / least for number in numbers)

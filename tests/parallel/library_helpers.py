@@ -127,7 +127,7 @@ def main(folder: Path) -> None:
             result = run_case(dim, distribution)
             if result is not None:
                 np.savez(folder / f"{dim}d-{distribution}.npz", **result)
-    for outside in (-1e-9, 2.0, np.nan):
+    for outside in (1e17, np.inf, np.nan):
         try:
             Placement(Grid(*BOXES[1]), np.array([[0.25], [outside]]))
         except ValueError as error:

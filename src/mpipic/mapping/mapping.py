@@ -10,7 +10,8 @@ from mpipic.arrays import FloatArray, IntArray, columns_of
 from mpipic.kernels import generic
 from mpipic.mapping.base import NodalMapping
 from mpipic.mapping.gram import Gram
-from mpipic.mesh.grid import Grid, raise_together
+from mpipic.mesh.agreement import raise_together
+from mpipic.mesh.grid import Grid
 from mpipic.particles.store import Particles, locate
 
 
@@ -70,22 +71,22 @@ class Mapping(NodalMapping):
 
     def update(self, position: FloatArray, weight: FloatArray | None = None) -> None:
         """Move the mapping to new positions (n, d), with these weights. Collective."""
-        self._place(self.grid.coordinate_of(columns_of(position)), weight)
+        self._place(lambda: self.grid.coordinate_of(columns_of(position)), weight)
 
     def follow(self, particles: Particles, weight: FloatArray | None = None) -> None:
         """Move the mapping to where these particles of a run are, with these weights, for example a field.
 
         Collective.
         """
-        self._place(np.ascontiguousarray(particles.coordinate), weight)
+        self._place(lambda: np.ascontiguousarray(particles.coordinate), weight)
 
-    def _place(self, coordinate: FloatArray, weight: FloatArray | None) -> None:
+    def _place(self, coordinate: Callable[[], FloatArray], weight: FloatArray | None) -> None:
         problem = None
         try:
-            located = locate(self.grid, coordinate)
+            located = locate(self.grid, coordinate())
             checked = _checked(weight, len(located[0]))
         except ValueError as error:
-            problem = str(error)
+            problem = error
         raise_together(self.grid.comm, problem)
         (self._cell, self._fraction), self._weight = located, checked
         self.version += 1

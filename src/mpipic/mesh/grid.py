@@ -21,20 +21,22 @@ import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from mpipic.arguments import axes_of, choice, real_number, told, whole_number
 from mpipic.arrays import FloatArray
+from mpipic.box import first_misplaced, wrap
 from mpipic.decomposition import process_grid
+from mpipic.keys import is_normal
+from mpipic.mesh.agreement import Said, agree
 from mpipic.mesh.basis import BASES
 from mpipic.mesh.halo import Halo, Nodes
 
 ON_NODE = 1e-10
 """A particle within this many cells of a node counts as on it, so that rounding never decides the side."""
+MOST_CELLS = int(np.iinfo(PETSc.IntType).max)
+"""PETSc numbers nodes by an integer type that is chosen when it is built, commonly of 32 bits."""
 
-
-def raise_together(comm: MPI.Comm, problem: str | None) -> None:
-    """Raise ValueError on all ranks with the problem of the lowest rank that has one. Collective; one reduction."""
-    first = comm.allreduce(comm.rank if problem else comm.size, op=MPI.MIN)
-    if first < comm.size:
-        raise ValueError(f"rank {first}: {comm.bcast(problem, root=first)}")
+Cells = tuple[int, ...]
+Lengths = tuple[float, ...]
 
 
 class Grid:
@@ -74,12 +76,13 @@ class Grid:
 
     Raises
     ------
-    ValueError
-        If the ranks cannot be laid out with at least one cell each.
+    ValueError, TypeError
+        An argument is not as above, cells or spacings are out of range, ranks cannot be laid out with at least one cell
+        each, or were given different arguments. Raised on all ranks together.
 
     Notes
     -----
-    Collective. Cost: O(local nodes) once.
+    Collective: one reduction to agree. Cost: O(local nodes) once.
     """
 
     def __init__(
@@ -89,12 +92,11 @@ class Grid:
         comm: MPI.Comm = MPI.COMM_WORLD,
         basis: str = "linear",
     ) -> None:
+        if not isinstance(comm, MPI.Intracomm) or comm == MPI.COMM_NULL:
+            raise TypeError(f"comm must be a communicator of mpi4py, such as MPI.COMM_WORLD, not {told(comm)}")
         self.comm, self.rank, self.size = comm, comm.rank, comm.size
-        self.cells = tuple(int(n) for n in cells)
-        self.length = tuple(float(x) for x in length)
+        self.cells, self.length = self._agree(cells, length, basis)
         self.dim = len(self.cells)
-        if not 1 <= self.dim <= 3 or len(self.length) != self.dim:
-            raise ValueError(f"cells and length need one to three entries each, got {cells} and {length}")
         self.h = tuple(x / n for x, n in zip(self.length, self.cells, strict=True))
         self.inverse_h = tuple(n / x for x, n in zip(self.length, self.cells, strict=True))
         self.quantum = tuple(2.0 ** (math.frexp(n)[1] - 52) for n in self.cells)
@@ -114,6 +116,19 @@ class Grid:
         self.reductions = 0
         self.node_count = int(np.prod(self.cells))
         self.padded_shape = self.owned_shape + (1,) * (3 - self.dim)
+
+    def _agree(self, cells: Sequence[int], length: Sequence[float], basis: str) -> tuple[Cells, Lengths]:
+        """Return cells and lengths, checked and the same on all ranks. Collective."""
+        said: Said | Exception
+        box: tuple[Cells, Lengths] = ((), ())
+        try:
+            box = checked_box(cells, length)
+            choice("basis", basis, list(BASES))
+            said = Said((*box[0], *box[1], list(BASES).index(basis)), f"cells {box[0]}, length {box[1]}, {basis} basis")
+        except (TypeError, ValueError) as error:
+            said = error
+        agree(self.comm, "Grid", said)
+        return box
 
     def _divide(self) -> list[npt.NDArray[np.int64]]:
         """First node of every block, per axis, as a DMDA divides the cells."""
@@ -185,8 +200,22 @@ class Grid:
         return owner
 
     def coordinate_of(self, position: FloatArray) -> FloatArray:
-        """Return coordinates (n, d) in cells, in the box, of positions (n, d) in length, any number of periods off."""
-        return self.wrapped(np.asarray(position) / np.array(self.h))
+        """Return coordinates (n, d) in cells, in the box, of positions (n, d) in length, any number of periods off.
+
+        Positions count as those that `in_box` makes of them. Local.
+        """
+        return self.wrapped(self.in_box(position) / np.array(self.h))
+
+    def in_box(self, position: FloatArray) -> FloatArray:
+        """Return positions (n, d) in the box, 0 <= x < length, by the rule of `mpipic.box`: axes wrap.
+
+        Raises ValueError naming the first that is not finite, or so far away that its digits do not tell its cell.
+        Local; O(n).
+        """
+        problem = first_misplaced(position, self.h)
+        if problem:
+            raise ValueError(problem)
+        return wrap(position, self.length)
 
     def wrapped(self, coordinate: FloatArray) -> FloatArray:
         """Return coordinates (n, d) in the box and on its quantum: -tolerance <= x < cells - tolerance. Local.
@@ -203,3 +232,29 @@ class Grid:
         quantum = np.array(self.quantum)
         with np.errstate(invalid="ignore"):  # infinities become NaN, and are refused where cells are looked up
             return np.asarray(np.rint(np.asarray(coordinate) / quantum) * quantum)
+
+
+def checked_box(cells: Sequence[int], length: Sequence[float]) -> tuple[Cells, Lengths]:
+    """Return cells and lengths as numbers of Python.
+
+    Raises
+    ------
+    ValueError, TypeError
+        They are not whole numbers from 1 on and numbers above 0, one to three each; there are more cells than PETSc can
+        number; or the spacing or the volume of a cell, or an inverse of these, is no number of full precision.
+    """
+    counts = tuple(whole_number(f"cells[{a}]", n, 1) for a, n in enumerate(axes_of("cells", cells)))
+    lengths = tuple(real_number(f"length[{a}]", x, "a number above 0") for a, x in enumerate(axes_of("length", length)))
+    if not 1 <= len(counts) <= 3 or len(lengths) != len(counts):
+        raise ValueError(f"cells and length need one to three entries each, got {counts} and {lengths}")
+    for axis, x in enumerate(lengths):
+        if not 0.0 < x < math.inf:
+            raise ValueError(f"length[{axis}] must be a finite number above 0, not {x}")
+    total = math.prod(counts)
+    if total > MOST_CELLS:
+        bits = np.iinfo(PETSc.IntType).bits
+        raise ValueError(f"cells {counts} are {total} nodes, and this PETSc numbers at most {MOST_CELLS} ({bits} bits)")
+    h = [x / n for x, n in zip(lengths, counts, strict=True)]
+    if not is_normal(*h, math.prod(h)):
+        raise ValueError(f"length / cells is {h}, out of the range in which numbers have all their digits")
+    return counts, lengths

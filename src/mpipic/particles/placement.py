@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from mpipic.arrays import FloatArray, columns_of
-from mpipic.mesh.grid import Grid, raise_together
+from mpipic.mesh.agreement import raise_together
+from mpipic.mesh.grid import Grid
 from mpipic.particles.migration import Routes
 
 
@@ -17,17 +18,20 @@ class Placement:
     grid
         The grid that will map them.
     position : (n, d)
-        This rank's block of positions, in the box [0, length); any rank may hold any particle.
+        This rank's block of positions; any rank may hold any particle. Axes are periodic: a position off the box counts
+        as the one in the box that it falls on (see `mpipic.box`).
 
     Attributes
     ----------
     position : (m, d)
-        Positions of the particles that this rank's cells hold; `to_owners` gives values in the same order.
+        Positions in the box, 0 <= x < length, of the particles that this rank's cells hold; `to_owners` gives values in
+        the same order.
 
     Raises
     ------
     ValueError
-        A position is not finite or outside the box; names the first. Raised on all ranks together.
+        A position is not finite, or so far away that its digits do not tell its cell; names the first. Raised on all
+        ranks together.
 
     Notes
     -----
@@ -35,12 +39,11 @@ class Placement:
     """
 
     def __init__(self, grid: Grid, position: FloatArray) -> None:
-        position = np.asarray(position, dtype=np.float64).reshape(-1, grid.dim)
-        bad = ~((position >= 0) & (position < np.array(grid.length))).all(axis=1)
         problem = None
-        if bad.any():
-            first = int(np.argmax(bad))
-            problem = f"position {first} = {position[first].tolist()} is outside the box, 0 <= x < {grid.length}"
+        try:
+            position = grid.in_box(np.asarray(position, dtype=np.float64).reshape(-1, grid.dim))
+        except ValueError as error:
+            problem = error
         raise_together(grid.comm, problem)
         self._routes = Routes(grid)
         self._owner = grid.owner_of(grid.coordinate_of(position))
