@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from mpi4py import MPI
 
     from mpipic.console import Rank
+    from mpipic.mesh.petsc_options import Solvers
     from mpipic.scene.records import Scene
 
 app = typer.Typer(
@@ -62,11 +63,16 @@ def before_the_verb(
 
 
 def _load(
-    path: Path | None, overrides: list[str] | None, comm: MPI.Comm, preset: str | None = None, compared: str = ""
+    path: Path | None,
+    overrides: list[str] | None,
+    comm: MPI.Comm,
+    preset: str | None = None,
+    compared: str = "",
+    solvers: Solvers | None = None,
 ) -> Scene:
     """Read the scene on rank 0 and give it, or the refusal, to all; point out what nothing in it uses.
 
-    `compared`: a section whose keys the verb hands to other choices than the scene's.
+    `compared`: a section whose keys the verb hands to other choices than the scene's; `solvers`: the verb's own.
     """
     import mpipic.run.parts  # noqa: F401  all that scenes can name
     from mpipic.console import Console
@@ -88,6 +94,10 @@ def _load(
     for unused in scene.unused:
         if unused.key.split(".")[0] != compared:
             console.warning(str(unused))
+    from mpipic.run.solver_options import unread_options
+
+    for text in unread_options(scene, comm, compared == "filter", solvers):
+        console.warning(text)
     return scene
 
 
@@ -119,10 +129,11 @@ def _refuse(text: str, comm: Rank, code: int = BAD_INPUT) -> typer.Exit:
 
 
 @contextmanager
-def _stating(comm: Rank) -> Iterator[None]:
+def _stating(comm: Rank, solves: bool = True) -> Iterator[None]:
     """Leave a verb that cannot go on with the error's own words, said once, and its exit code; no traceback.
 
-    All ranks must raise the error together; one rank's alone would leave the others waiting.
+    All ranks must raise the error together; one rank's alone would leave the others waiting. After a verb that solves,
+    say which PETSc options nothing has read.
     """
     try:
         yield
@@ -130,6 +141,12 @@ def _stating(comm: Rank) -> Iterator[None]:
         raise _refuse(str(error), comm) from None
     except NotConverged as error:
         raise _refuse(str(error), comm, NOT_CONVERGED) from None
+    if solves:
+        from mpipic.console import Console
+        from mpipic.mesh.petsc_options import left_over
+
+        for text in left_over():
+            Console(comm).warning(text)
 
 
 @app.command()
@@ -171,7 +188,7 @@ def check(
         if comm.rank == 0:
             typer.echo(keys_as_markdown(), nl=False)
         return
-    with _stating(comm):
+    with _stating(comm, solves=False):
         loaded = _load(scene, set_, comm, preset)
         from mpipic.console import Console
         from mpipic.run.build import check_filter, solution_of
@@ -257,7 +274,7 @@ def study(
 
     words = ["mpipic", "study", str(file), *(["--output", str(output)] if output else [])]
     words += [word for aim in aims or () for word in ("--recommend", aim)]
-    with _stating(here):
+    with _stating(here, solves=False):
         code = verb.run(file, output, aims or (), fresh, retry, shlex.join(words), Console(here))
     raise typer.Exit(code)
 
@@ -282,8 +299,9 @@ def stability(
     """Compute by how much a scene's scheme grows per step, and when rounding noise blows it up."""
     comm = start()
     with _stating(comm):
-        loaded = _load(scene, set_, comm, preset, compared="filter" if maps else "")
         from mpipic.analysis import growth, growth_map
+
+        loaded = _load(scene, set_, comm, preset, "filter" if maps else "", growth.solver_classes())
         from mpipic.analysis.filter_choice import choose
         from mpipic.console import Console
         from mpipic.io.run_directory import RunDirectory
@@ -311,7 +329,8 @@ def trials(
     from mpipic.analysis import trials as verb
     from mpipic.console import Console
 
-    judged = verb.run(comm, Console(comm), output, short, only)
+    with _stating(comm):
+        judged = verb.run(comm, Console(comm), output, short, only)
     raise typer.Exit(1 if any(item.verdict != "good" for item in judged) else 0)
 
 

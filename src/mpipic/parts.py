@@ -223,6 +223,11 @@ class Part:
         return cls.brings_in
 
     @classmethod
+    def solvers(cls, v: Values) -> tuple[str, ...]:
+        """Return how PETSc's options of the part's solvers begin: prefix and class, such as filter_ksp."""
+        return ()
+
+    @classmethod
     def node_doubles(cls, v: Values) -> int:
         """Return the numbers of 8 bytes that the part keeps on every node."""
         return 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import re
 import signal
@@ -81,7 +82,15 @@ def start() -> MPI.Intracomm:
             raise SystemExit(1)
     if comm.size > 1:
         sys.excepthook = _abort_all
+    atexit.register(_end_petsc)
     return comm
+
+
+def _end_petsc() -> None:
+    """End PETSc while Python lives: what an error has left half made would call back into it later, and crash."""
+    petsc = sys.modules.get("petsc4py.PETSc")
+    if petsc is not None:
+        petsc._finalize()
 
 
 def _abort_all(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:

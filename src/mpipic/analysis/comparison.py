@@ -80,7 +80,7 @@ class Comparison:
         self._projector: filters.Filter = (
             filters.SvdFilter(self.mapping)
             if self.reference == "svd"
-            else filters.ExactFilter(self.mapping, REFERENCE_TOLERANCE)
+            else filters.ExactFilter(self.mapping, REFERENCE_TOLERANCE, "report_")
         )
         self.projected = self._projector.apply(self.q)
 

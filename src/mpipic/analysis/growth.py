@@ -25,6 +25,7 @@ from mpipic.files import write_json
 from mpipic.filters import ExactFilter
 from mpipic.io.run_directory import RunDirectory
 from mpipic.mapping.mapping import Mapping
+from mpipic.mesh.petsc_options import Solver, configure, refusing
 from mpipic.particles.migration import Routes
 from mpipic.run.facts import versions
 from mpipic.run.loop import Simulation
@@ -149,6 +150,13 @@ class Monodromy:
         return np.stack(columns, axis=1)
 
 
+def solver_classes() -> dict[str, type[Solver]]:
+    """Return the class of the eigensolver by how its PETSc options begin."""
+    from slepc4py import SLEPc
+
+    return {"stability_eps": SLEPc.EPS}
+
+
 def analyse(scene: Scene, comm: MPI.Comm, most_steps: int, tolerance: float = 1e-9) -> Growth:
     """Return the growth per step of the scene's scheme on its pattern of particles. Collective.
 
@@ -226,8 +234,9 @@ def _by_krylov(monodromy: Monodromy, tolerance: float) -> Eigenpair:
     eps.setWhichEigenpairs(SLEPc.EPS.Which.LARGEST_MAGNITUDE)
     eps.setDimensions(nev=1, ncv=min(monodromy.unknowns, 48))
     eps.setTolerances(tolerance, 40)
-    eps.setFromOptions()
-    eps.solve()
+    configure(eps, matrix)
+    with refusing("stability_"):
+        eps.solve()
     if eps.getConverged() < 1:
         applications = monodromy.applications
         eps.destroy()
@@ -276,7 +285,7 @@ def _null_space_share(monodromy: Monodromy, mode: Mode) -> float:
     size = simulation.grid.reduce(np.array([np.sum(parts**2)]))[0]
     if size == 0.0:
         return 0.0
-    hidden = parts - ExactFilter(mapping, 1e-10).apply(parts)
+    hidden = parts - ExactFilter(mapping, 1e-10, "report_").apply(parts)
     return float(np.sqrt(simulation.grid.reduce(np.array([np.sum(hidden**2)]))[0] / size))
 
 

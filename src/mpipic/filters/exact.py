@@ -27,7 +27,10 @@ class ExactFilter(NodalFilter):
     Parameters
     ----------
     tolerance
-        Relative residual; see `mpipic.mapping.solver.GramSolver`, whose PETSc options begin with ``-filter_``.
+        Relative residual; see `mpipic.mapping.solver.GramSolver`.
+    prefix
+        Of the solver's PETSc options, ``-filter_ksp_type`` and others. Measurements use ``report_``: what a user says
+        of the filter must not change what it is measured by.
 
     Raises
     ------
@@ -67,13 +70,18 @@ class ExactFilter(NodalFilter):
         return cls.brings_in if cls.acts(v) else ()
 
     @classmethod
+    def solvers(cls, v: Values) -> tuple[str, ...]:
+        """Return the Gram solver's options where it acts."""
+        return ("filter_ksp",) if cls.acts(v) else ()
+
+    @classmethod
     def node_doubles(cls, v: Values) -> int:
         """Return the Gram matrix with its solver, unless the mass has the same."""
         return gram_doubles(v) if cls.acts(v) and not v.has(GRAM_SOLVER) else 0
 
-    def __init__(self, mapping: NodalMapping, tolerance: float = 1e-10) -> None:
+    def __init__(self, mapping: NodalMapping, tolerance: float = 1e-10, prefix: str = "filter_") -> None:
         super().__init__(mapping)
-        self.tolerance = tolerance
+        self.tolerance, self.prefix = tolerance, prefix
         self.iterations = 0
 
     @cached_property
@@ -81,7 +89,7 @@ class ExactFilter(NodalFilter):
         """The Gram solver, made when first used."""
         from mpipic.mapping.solver import GramSolver
 
-        return GramSolver(self.mapping, self.tolerance)
+        return GramSolver(self.mapping, self.tolerance, self.prefix)
 
     def coefficients(
         self, sums: FloatArray, out: FloatArray | None = None, series: Hashable | None = None

@@ -23,6 +23,7 @@ from mpipic.arrays import FloatArray, columns_of
 from mpipic.errors import NotConverged
 from mpipic.filters.family import TooLarge
 from mpipic.kernels import spline
+from mpipic.mesh.petsc_options import Solver, configure, refusing
 
 if TYPE_CHECKING:
     from mpipic.mapping.base import NodalMapping
@@ -101,6 +102,14 @@ class RowSpace:
         return np.asarray((self.basis @ amounts) / each).reshape(q.shape)
 
 
+def solver_class() -> type[Solver]:
+    """Return the class of SLEPc's decomposition, whose options begin with ``-filter_svd_``."""
+    from slepc4py import SLEPc
+
+    found: type[Solver] = SLEPc.SVD
+    return found
+
+
 def _all_triplets(matrix: PETSc.Mat, triplets: int, own: int) -> tuple[str, FloatArray, FloatArray]:
     """Solver used, singular values, and own rows of the right singular vectors, (triplets, own). Collective."""
     from slepc4py import SLEPc
@@ -112,8 +121,9 @@ def _all_triplets(matrix: PETSc.Mat, triplets: int, own: int) -> tuple[str, Floa
         solver.setType(kind)
         solver.setDimensions(triplets)
         solver.setTolerances(TOLERANCE, MOST_RESTARTS)
-        solver.setFromOptions()
-        solver.solve()
+        configure(solver)
+        with refusing("filter_"):
+            solver.solve()
         found, iterations, used = solver.getConverged(), solver.getIterationNumber(), solver.getType()
         if found >= triplets:
             values, vectors = _read(solver, matrix, triplets, own)

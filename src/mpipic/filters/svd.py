@@ -62,6 +62,11 @@ class SvdFilter(Filter):
         """Return everything where it acts."""
         return cls.brings_in if cls.acts(v) else ()
 
+    @classmethod
+    def solvers(cls, v: Values) -> tuple[str, ...]:
+        """Return the decomposition's options where it acts."""
+        return ("filter_svd",) if cls.acts(v) else ()
+
     def __init__(self, mapping: NodalMapping) -> None:
         super().__init__(mapping)
         self._version = -1

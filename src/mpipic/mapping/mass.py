@@ -198,6 +198,11 @@ class LeastSquaresMass(Mass):
     traits = (LEAST_SQUARES,)
 
     @classmethod
+    def solvers(cls, v: Values) -> tuple[str, ...]:
+        """Return the Gram solver's options."""
+        return ("mass_ksp",)
+
+    @classmethod
     def node_doubles(cls, v: Values) -> int:
         """Return the solver, and two earlier answers for each column."""
         return gram_doubles(v) + 2 * (1 + v.dim)

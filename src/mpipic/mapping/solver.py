@@ -20,6 +20,7 @@ from mpipic.kernels import stencil
 from mpipic.mapping.base import NodalMapping
 from mpipic.mapping.gram_stencil import GramStencil, Penalty
 from mpipic.mesh.petsc_objects import close_at_exit
+from mpipic.mesh.petsc_options import configure, refusing
 
 EARLIER = 2
 """Solutions of a series that the first guess of the next is extrapolated from."""
@@ -129,7 +130,7 @@ class GramSolver:
             pc.setType(PETSc.PC.Type.PYTHON)
             pc.setPythonContext(self.preconditioner)
             ksp.setOperators(matrix)
-            ksp.setFromOptions()
+            configure(ksp, matrix)
             self._systems[columns] = _System(ksp, matrix, *matrix.createVecs())
         return self._systems[columns]
 
@@ -220,7 +221,8 @@ class GramSolver:
         ]
         guessed = self._guess(system.x, earlier, sizes, weights)
         system.ksp.setInitialGuessNonzero(guessed)
-        system.ksp.solve(system.b, system.x)
+        with refusing(self.prefix):
+            system.ksp.solve(system.b, system.x)
         if guessed and system.ksp.getConvergedReason() < 0:
             # a guess far off, on a matrix near singular, leaves rounding of its own size behind
             system.ksp.setInitialGuessNonzero(False)

@@ -12,6 +12,7 @@ from mpipic.arrays import FloatArray
 from mpipic.errors import NotConverged
 from mpipic.mesh.grid import Grid
 from mpipic.mesh.petsc_objects import close_at_exit
+from mpipic.mesh.petsc_options import configure, refusing
 
 Apply = Callable[[FloatArray], FloatArray]
 
@@ -79,6 +80,8 @@ class ShellSolver:
         ------
         NotConverged
             Names the residual and the iteration count.
+        BadOption
+            PETSc's options do not let it be solved.
 
         Notes
         -----
@@ -94,7 +97,8 @@ class ShellSolver:
             np.divide(guess, size, out=x)
         self.apply = apply
         try:
-            ksp.solve(self._b, self._x)
+            with refusing(self.prefix):
+                ksp.solve(self._b, self._x)
         finally:
             self.apply = None
         self.iterations = ksp.getIterationNumber()
@@ -121,6 +125,6 @@ class ShellSolver:
         ksp.setTolerances(rtol=self.tolerance, atol=0.0, divtol=1e100)
         ksp.setInitialGuessNonzero(True)
         ksp.setOperators(self._shell)
-        ksp.setFromOptions()
+        configure(ksp, self._shell, self._x, self._b)
         self.ksp = ksp
         return ksp

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from mpi4py import MPI
 
-from mpipic.errors import NotConverged
+from mpipic.errors import NotConverged, Refused
 from mpipic.physics.acoustics.integrators import INTEGRATORS
 from mpipic.physics.acoustics.slopes import GRADIENTS
 from mpipic.physics.acoustics.step import AcousticStep
@@ -36,7 +36,15 @@ def cfl_limit(scene: Scene, comm: MPI.Comm) -> float | None:
     limit: that is what `mpipic.analysis.growth` finds. Collective: rank 0 computes, all know.
     """
     find = LIMITS.get(scene.physics.kind)
-    found: float | None = comm.bcast(find(scene) if find is not None and comm.rank == 0 else None)
+    found: float | Refused | None = None
+    if find is not None and comm.rank == 0:
+        try:
+            found = find(scene)
+        except Refused as error:
+            found = error
+    found = comm.bcast(found)
+    if isinstance(found, Refused):
+        raise found
     return found
 
 

@@ -13,6 +13,7 @@ from typing import Any
 
 from mpipic.arrays import FloatArray
 from mpipic.keys import IN_0_1, Keys, Share, key
+from mpipic.parts import Values
 from mpipic.physics.acoustics.integrators import Change, Integrator, Rates, State, Step
 
 LEAST_TOLERANCE = 1e-14
@@ -49,6 +50,11 @@ class Midpoint(Integrator):
         """Keys of the integrator."""
 
         tolerance: Share = key(1e-10, IN_0_1, "relative residual of the solve")
+
+    @classmethod
+    def solvers(cls, v: Values) -> tuple[str, ...]:
+        """Return the options of the solver for the density at mid-step."""
+        return ("midpoint_ksp",)
 
     @classmethod
     def create(cls, symmetric: bool, **settings: Any) -> Midpoint:
