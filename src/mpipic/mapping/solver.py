@@ -20,7 +20,7 @@ from mpipic.kernels import stencil
 from mpipic.mapping.base import NodalMapping
 from mpipic.mapping.gram_stencil import GramStencil, Penalty
 from mpipic.mesh.petsc_objects import close_at_exit
-from mpipic.mesh.petsc_options import configure, refusing
+from mpipic.mesh.petsc_options import configure, solve
 
 EARLIER = 2
 """Solutions of a series that the first guess of the next is extrapolated from."""
@@ -221,12 +221,11 @@ class GramSolver:
         ]
         guessed = self._guess(system.x, earlier, sizes, weights)
         system.ksp.setInitialGuessNonzero(guessed)
-        with refusing(self.prefix):
-            system.ksp.solve(system.b, system.x)
+        solve(system.ksp, system.b, system.x)
         if guessed and system.ksp.getConvergedReason() < 0:
             # a guess far off, on a matrix near singular, leaves rounding of its own size behind
             system.ksp.setInitialGuessNonzero(False)
-            system.ksp.solve(system.b, system.x)
+            solve(system.ksp, system.b, system.x)
         self._check(system.ksp)
         answer = system.x.getArray(readonly=True).reshape(right.shape) * matrix.scale
         answer /= weights[:, None]

@@ -17,7 +17,7 @@ from typing import Any, Protocol
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from mpipic.errors import Refused
+from mpipic.errors import NotConverged, Refused
 from mpipic.wording import closest, listed, show
 
 PREFIXES = ("filter_", "mass_", "midpoint_", "stability_", "report_")
@@ -29,8 +29,8 @@ TRIAL = "mpipic_trial_"
 SOLVER_OPTION = re.compile(rf"(?:{'|'.join(PREFIXES)})|(?:.*_)?(?:ksp|pc|svd|eps)_")
 SPLIT = re.compile(rf"({'|'.join(PREFIXES)})?(.*?_)??((?:ksp|pc|svd|eps)_.*)$")
 """Matches prefix of a solver, of one inside it, and the name."""
-ITS_OWN = re.compile(r"(?:ksp|pc|svd|eps)_")
-"""Matches options of a solver itself, not of one inside it, such as mg_levels_ksp_type, which it makes later."""
+AT_ONCE = re.compile(r"(?:ksp|pc|svd|eps)_(?!view|converged|error|test)")
+"""Matches options that are read when a solver is set up; others as it solves, or by a solver that it makes inside."""
 KNOWN = """
 ksp_type ksp_rtol ksp_atol ksp_divtol ksp_max_it ksp_norm_type ksp_monitor ksp_monitor_true_residual ksp_view
 ksp_converged_reason ksp_pc_side ksp_gmres_restart pc_type pc_view pc_factor_levels pc_factor_mat_solver_type
@@ -111,6 +111,34 @@ def configure(solver: Solver, *others: Destroyable) -> None:
         raise
 
 
+def solve(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
+    """Solve A x = b, x holding the first guess if the KSP takes one. Collective.
+
+    Some methods and preconditioners that a user can ask for call anything an answer: under options, the residual is
+    computed afterwards, and must not be far above the tolerance, in whatever norm that is.
+
+    Raises
+    ------
+    BadOption
+        PETSc does not solve with the options given.
+    NotConverged
+        It says that it has solved, and has not.
+    """
+    prefix = ksp.getOptionsPrefix() or ""
+    with refusing(prefix):
+        ksp.solve(b, x)
+    options = given(prefix)
+    if options and ksp.getConvergedReason() > 0:
+        rest = b.duplicate()
+        ksp.getOperators()[0].mult(x, rest)
+        rest.axpy(-1.0, b)
+        left, size = rest.norm(), b.norm()
+        rest.destroy()
+        if not left <= math.sqrt(ksp.getTolerances()[0]) * size:
+            words = ", ".join(_named(prefix + name, value) for name, value in options.items())
+            raise NotConverged(f"PETSc says that it has solved with {words}, but the residual is {left / size:.2g}")
+
+
 @contextmanager
 def refusing(prefix: str) -> Iterator[None]:
     """Turn what PETSc does not do because of options with this prefix into BadOption; other errors stay as they are."""
@@ -148,7 +176,7 @@ def check(solvers: Solvers, comm: MPI.Comm) -> list[str]:
         if options:
             bad, read = _examine(prefix, cls, comm)
             problems += bad
-            unread -= {prefix + name for name in options if name in read or not ITS_OWN.match(name)}
+            unread -= {prefix + name for name in options if name in read or not AT_ONCE.match(name)}
     if problems:
         raise BadOption("\n".join(problems))
     _said.clear()

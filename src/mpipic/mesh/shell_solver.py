@@ -12,7 +12,7 @@ from mpipic.arrays import FloatArray
 from mpipic.errors import NotConverged
 from mpipic.mesh.grid import Grid
 from mpipic.mesh.petsc_objects import close_at_exit
-from mpipic.mesh.petsc_options import configure, refusing
+from mpipic.mesh.petsc_options import configure, solve
 
 Apply = Callable[[FloatArray], FloatArray]
 
@@ -97,8 +97,7 @@ class ShellSolver:
             np.divide(guess, size, out=x)
         self.apply = apply
         try:
-            with refusing(self.prefix):
-                ksp.solve(self._b, self._x)
+            solve(ksp, self._b, self._x)
         finally:
             self.apply = None
         self.iterations = ksp.getIterationNumber()
