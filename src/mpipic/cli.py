@@ -143,7 +143,7 @@ def _stating(comm: Rank, solves: bool = True) -> Iterator[None]:
         raise _refuse(str(error), comm, NOT_CONVERGED) from None
     if solves:
         from mpipic.console import Console
-        from mpipic.mesh.petsc_options import left_over
+        from mpipic.run.solver_options import left_over
 
         for text in left_over():
             Console(comm).warning(text)

@@ -39,6 +39,11 @@ def unread_options(
     return petsc_options.check({**{one: _class_of(one) for one in begin}, **(more or {})}, comm)
 
 
+def left_over() -> list[str]:
+    """Return which options of solvers nothing has read until now, in words, but those that were said before. Local."""
+    return petsc_options.left_over()
+
+
 def _class_of(begin: str) -> type[petsc_options.Solver]:
     if begin.endswith("ksp"):
         found: type[petsc_options.Solver] = PETSc.KSP
