@@ -1,10 +1,12 @@
 """The command line: `mpipic VERB`, the same under mpiexec. Rank 0 speaks; all ranks leave with the same code.
 
-Exit codes: 0 done, 2 bad input, 3 unstable, 4 a solver did not converge, 130 interrupted, 1 anything unexpected.
+Exit codes: 0 done, 2 bad input, 3 unstable, 4 a solver did not converge, 130 interrupted,
+1 output that could not be written, and anything unexpected.
 """
 
 from __future__ import annotations
 
+import gc
 import os
 import shlex
 import sys
@@ -16,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mpipic import __version__
-from mpipic.errors import NotConverged, Refused
+from mpipic.errors import NotConverged, Refused, WriteFailed
 from mpipic.runtime import launched, start
 
 if TYPE_CHECKING:
@@ -44,7 +46,7 @@ Preset = Annotated[
     str | None, typer.Option(help="Take the scheme by name, for example recommended, in place of the scene's own.")
 ]
 
-BAD_INPUT, NOT_CONVERGED = 2, 4
+NOT_WRITTEN, BAD_INPUT, NOT_CONVERGED = 1, 2, 4
 
 
 def _print_version(wanted: bool) -> None:
@@ -137,6 +139,8 @@ def _stating(comm: Rank, solves: bool = True) -> Iterator[None]:
     """
     try:
         yield
+    except WriteFailed as error:
+        raise _refuse(str(error), comm, NOT_WRITTEN) from None
     except Refused as error:
         raise _refuse(str(error), comm) from None
     except NotConverged as error:
@@ -382,4 +386,6 @@ def main() -> None:
         if first and hasattr(error, "show"):
             error.show()
         code = error.exit_code
+    if code:
+        gc.collect()  # of what an error kept alive: PETSc waits for the other ranks as it frees its objects
     sys.exit(code)

@@ -7,15 +7,27 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import errno
 import io
 import json
 import math
 import numbers
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
+
+from mpipic.errors import WriteFailed
+
+ROOM = "free some space there, or name a folder elsewhere by --output"
+ADVICE = {
+    (errno.ENOSPC, errno.EDQUOT): ROOM,
+    (errno.EFBIG,): "raise the limit on the size of files (ulimit -f), or write less",
+    (errno.EROFS, errno.EACCES, errno.EPERM): "make it writable, or name another folder by --output",
+    (errno.ENOENT, errno.ESTALE): "the folder is gone: leave it in place while it is written to",
+}
+"""Numbers of errors of the system to what helps."""
 
 
 class Unreadable(Exception):
@@ -38,16 +50,40 @@ def read_text(path: Path) -> str:
         raise Unreadable(f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
 
 
+def reason(error: OSError) -> str:
+    """Return why the system refuses to write, and what to do, as the end of a sentence about a file."""
+    why = error.strerror or str(error)
+    advice = next((words for codes, words in ADVICE.items() if error.errno in codes), None)
+    return f"{why}; {advice}" if advice else why
+
+
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield a temporary name beside `path`; on success force it to disk and rename it, else remove it. Local."""
+    """Yield a temporary name beside `path`; on success force it to disk and rename it, else remove it. Local.
+
+    Raises
+    ------
+    WriteFailed
+        The system refuses; an older file of this name stays as it was.
+    """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         yield temporary
         sync(temporary)
         os.replace(temporary, path)
+    except OSError as error:
+        raise WriteFailed(f"{path} cannot be written: {reason(error)}") from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def write_at(descriptor: int, data: memoryview, offset: int) -> None:
+    """Write all of a contiguous buffer at a place of an open file. Local."""
+    rest = data.cast("B")
+    while rest:
+        written = os.pwrite(descriptor, rest, offset)
+        rest, offset = rest[written:], offset + written
 
 
 def sync(path: Path) -> None:

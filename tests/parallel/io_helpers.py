@@ -5,6 +5,7 @@ A case writes to FOLDER/CASE; each is begun by all ranks together.
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 from pathlib import Path
@@ -14,9 +15,10 @@ from unittest import mock
 import numpy as np
 
 from mpipic.errors import OutputError
-from mpipic.io import hdf5, snapshots
+from mpipic.io import shared_file, snapshots
 from mpipic.io.particle_file import ParticleFileError, read_particle_file
 from mpipic.io.run_directory import RunDirectory
+from mpipic.io.shared_file import SharedFile
 from mpipic.io.snapshots import ParticleSeries
 from mpipic.plots.sample import gather_sample
 from mpipic.runtime import start
@@ -93,26 +95,35 @@ def case_write(folder: Path) -> None:
             write_step(series, 10, dim)
 
 
+def alone():
+    """No rank but the first sees the file that it creates, as where nodes do not share the folder."""
+    return mock.patch.object(SharedFile, "_opens", lambda self: COMM.rank == 0)
+
+
 def case_funnel(folder: Path) -> None:
     """The same through rank 0, in pieces of a few rows."""
-    with mock.patch.object(hdf5, "has_mpi", lambda: False), mock.patch.object(snapshots, "PIECE_BYTES", 400):
+    with alone(), mock.patch.object(shared_file, "PIECE_BYTES", 400):
         case_write(folder)
 
 
-def case_failure(folder: Path) -> None:
-    """A snapshot that fails in the middle on the last rank leaves the others whole, and the series goes on."""
+def case_failure(folder: Path, writer: int = COMM.size - 1) -> None:
+    """A snapshot that fails in the middle, on the last rank, leaves the others whole, and the series goes on."""
     with ParticleSeries(folder / "1.h5", COMM) as series:
         write_step(series, 0, 1)
-        place, calls = hdf5.write_block, []
+        whole, calls = shared_file.write_at, []
 
-        def failing(*args: object, **kwargs: object) -> None:
-            place(*args, **kwargs)
+        def failing(*args: object) -> None:
+            whole(*args)
             calls.append(1)
-            if len(calls) == 4 and COMM.rank == (COMM.size - 1 if series.collective else 0):
-                raise OSError("disk full")
+            if len(calls) == 4 and COMM.rank == writer:
+                raise OSError(errno.ENOSPC, "disk full")
 
-        with mock.patch.object(hdf5, "write_block", failing):
-            expect_error(lambda: write_step(series, 1, 1), "step 1", "disk full")
+        size = (folder / "1.h5.part").stat().st_size
+        COMM.Barrier()
+        with mock.patch.object(shared_file, "write_at", failing):
+            expect_error(lambda: write_step(series, 1, 1), "step 1", "disk full", "free some space", "1.h5.part")
+        COMM.Barrier()
+        assert (folder / "1.h5.part").stat().st_size == size, "the space is given back"
         expect_error(lambda: write_step(series, 0, 1), "written before")
         wrong = particles_of(COMM.rank, COMM.size, 1)
         if COMM.rank == COMM.size - 1:
@@ -126,8 +137,8 @@ def case_failure(folder: Path) -> None:
 
 def case_failure_funnel(folder: Path) -> None:
     """The same when rank 0 writes for all."""
-    with mock.patch.object(hdf5, "has_mpi", lambda: False):
-        case_failure(folder)
+    with alone():
+        case_failure(folder, writer=0)
 
 
 def case_killed(folder: Path) -> None:

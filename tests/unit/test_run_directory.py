@@ -19,7 +19,7 @@ from mpi4py import MPI
 from helpers import HISTORY_COLUMNS
 from mpipic.errors import OutputError
 from mpipic.io import run_directory
-from mpipic.io.run_directory import RunDirectory
+from mpipic.io.run_directory import SCENE_HEADER, RunDirectory
 
 COMM = MPI.COMM_SELF
 SCENE = SimpleNamespace(name="wave", to_toml=lambda: "[grid]\ncells = [4]\n")
@@ -34,7 +34,8 @@ def test_a_run_directory_is_created_with_its_parents(tmp_path: Path) -> None:
 def test_results_of_another_run_are_refused_by_name_and_replaced_only_on_request(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_text("old")
     (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(OutputError, match=re.escape(str(tmp_path)) + ".*" + re.escape(name)):
+    (tmp_path / "scene.toml").write_text(SCENE_HEADER)
+    with pytest.raises(OutputError, match=re.escape(str(tmp_path)) + ".*" + re.escape(name) + ".*--overwrite"):
         RunDirectory(tmp_path, COMM)
     assert (tmp_path / name).read_text() == "old"
     RunDirectory(tmp_path, COMM, overwrite=True)
@@ -42,11 +43,29 @@ def test_results_of_another_run_are_refused_by_name_and_replaced_only_on_request
     assert (tmp_path / "notes.txt").read_text() == "mine"
 
 
-def test_a_scene_file_that_no_run_wrote_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "scene.toml").write_text("# mine\n[grid]\n")
-    with pytest.raises(OutputError, match=r"scene\.toml"):
-        RunDirectory(tmp_path, COMM)
-    assert (tmp_path / "scene.toml").read_text() == "# mine\n[grid]\n"
+@pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.parametrize("name", ["scene.toml", "summary.json", "history.csv", "particles.h5"])
+def test_what_no_run_wrote_is_never_cleared(tmp_path: Path, name: str, overwrite: bool) -> None:
+    (tmp_path / name).write_text("# mine\n[grid]\n")
+    with pytest.raises(OutputError, match=re.escape(name) + ", which no run of this program left"):
+        RunDirectory(tmp_path, COMM, overwrite)
+    assert (tmp_path / name).read_text() == "# mine\n[grid]\n"
+
+
+def test_the_working_folder_is_never_cleared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    RunDirectory(tmp_path, COMM).write_scene(SCENE)
+    (tmp_path / "history.csv").write_text("step\n")
+    monkeypatch.chdir(tmp_path)
+    for path in (Path(), tmp_path, Path("..") / tmp_path.name):
+        with pytest.raises(OutputError, match="working folder"):
+            RunDirectory(path, COMM, overwrite=True)
+    assert (tmp_path / "history.csv").read_text() == "step\n"
+
+
+def test_looking_whether_a_folder_can_be_used_changes_nothing(tmp_path: Path) -> None:
+    RunDirectory.check(tmp_path / "new", COMM, overwrite=False)
+    RunDirectory.check(tmp_path, COMM, overwrite=True)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_folder_where_only_a_run_wrote_its_scene_can_be_used_again(tmp_path: Path) -> None:

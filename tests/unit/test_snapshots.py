@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import re
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,8 +14,8 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from mpipic.errors import OutputError
-from mpipic.io import hdf5, openpmd
+from mpipic.errors import OutputError, WriteFailed
+from mpipic.io import openpmd
 from mpipic.io.snapshots import ParticleSeries
 
 COMM = MPI.COMM_SELF
@@ -173,22 +175,50 @@ def test_a_field_that_does_not_fit_is_named_and_nothing_is_written(tmp_path: Pat
         assert list(file["data"]) == ["0"]
 
 
-def test_a_disk_that_fails_costs_one_snapshot(tmp_path: Path, monkeypatch: Any) -> None:
-    whole = hdf5.write_block
-    with ParticleSeries(tmp_path / "p.h5", COMM) as series:
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO])
+def test_a_disk_that_fails_at_any_write_costs_one_snapshot(tmp_path: Path, monkeypatch: Any, number: int) -> None:
+    """From the first write to the last; half of each may still reach the disk."""
+    whole, path = os.pwrite, tmp_path / "p.h5"
+    left = [0]
+
+    def failing(descriptor: int, data: Any, offset: int) -> int:
+        left[0] -= 1
+        if left[0] == 0:
+            whole(descriptor, data[: len(data) // 2], offset)
+            raise OSError(number, os.strerror(number))
+        return whole(descriptor, data, offset)
+
+    monkeypatch.setattr(os, "pwrite", failing)
+    failed = 0
+    with ParticleSeries(path, COMM) as series:
         series.write(0, 0.0, 0.1, particles(2), grid(2), {})
-
-        def fail(*args: Any, **kwargs: Any) -> None:
-            raise OSError("disk full")
-
-        monkeypatch.setattr(hdf5, "write_block", fail)
-        with pytest.raises(OutputError, match=r"step 1 failed: rank 0: disk full"):
-            series.write(1, 0.1, 0.1, particles(2), grid(2), {})
-        monkeypatch.setattr(hdf5, "write_block", whole)
-        series.write(1, 0.1, 0.1, particles(2), grid(2), {})
-    with h5py.File(tmp_path / "p.h5", "r") as file:
+        size = Path(f"{path}.part").stat().st_size
+        for last in range(1, 200):
+            left[0] = last
+            try:
+                series.write(1, 0.1, 0.1, particles(2), grid(2), {})
+                break
+            except WriteFailed as error:
+                assert "snapshot of step 1" in str(error) and os.strerror(number) in str(error)
+            failed += 1
+            with h5py.File(f"{path}.part", "r") as file:
+                assert list(file["data"]) == ["0"], last
+                assert np.array_equal(file["data/0/particles/gas/density"][:], np.arange(6.0))
+            assert Path(f"{path}.part").stat().st_size == size, "the space is given back"
+    assert failed > 30
+    with h5py.File(path, "r") as file:
         assert set(file["data"]) == {"0", "1"}
         assert np.array_equal(file["data/1/particles/gas/density"][:], np.arange(6.0))
+
+
+def test_a_folder_that_disappears_is_said_at_the_next_snapshot(tmp_path: Path) -> None:
+    series = ParticleSeries(tmp_path / "out.h5", COMM)
+    series.write(0, 0.0, 0.1, particles(1), grid(1), {})
+    (tmp_path / "out.h5.part").unlink()
+    with pytest.raises(WriteFailed, match=r"step 1 .*out\.h5\.part: No such file or directory; the folder is gone"):
+        series.write(1, 0.1, 0.1, particles(1), grid(1), {})
+    with pytest.raises(WriteFailed, match=r"out\.h5 cannot be put in place"):
+        series.close()
 
 
 def test_a_comment_too_long_for_an_attribute_is_left_out() -> None:

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
+from mpipic.agreement import on_first
 from mpipic.errors import OutputError
 from mpipic.files import write_csv, write_json, write_text
 
@@ -47,58 +48,83 @@ class RunDirectory:
     Raises
     ------
     OutputError
-        The folder holds the results of another run, or a scene.toml that no run wrote, or cannot be written.
+        The folder holds the results of another run, or a scene.toml that no run wrote, or cannot be written;
+        `WriteFailed` where a file cannot be written later.
 
     Notes
     -----
-    Creation is collective. The `write_*` methods act on rank 0 and do nothing elsewhere; any ranks may call them.
+    Collective. Rank 0 touches the disk; where it fails, all ranks raise the same error.
     """
 
     def __init__(self, path: Path | str, comm: MPI.Comm, overwrite: bool = False) -> None:
-        self.path = Path(path)
-        self._writes = comm.rank == 0
-        problem = comm.bcast(_prepare(self.path, overwrite) if self._writes else None)
+        self.path, self._comm = Path(path), comm
+        self.check(self.path, comm, overwrite)
+        problem = on_first(comm, lambda: _prepare(self.path))
+        if problem:
+            raise OutputError(problem)
+
+    @staticmethod
+    def check(path: Path, comm: MPI.Comm, overwrite: bool) -> None:
+        """Raise the `OutputError` that a run into this folder would meet; changes nothing. Collective."""
+        problem = on_first(comm, lambda: _refusal(path, overwrite))
         if problem:
             raise OutputError(problem)
 
     @staticmethod
     def default(scene_name: str, comm: MPI.Comm, parent: Path | str = "runs") -> Path:
         """Create and return runs/<scene name>-<YYYYmmdd-HHMMSS>, with -2, -3, … when taken. Collective."""
-        answer: Path | str = comm.bcast(_claim(Path(parent), scene_name) if comm.rank == 0 else "")
+        answer = on_first(comm, lambda: _claim(Path(parent), scene_name))
         if isinstance(answer, str):
             raise OutputError(answer)
         return answer
 
     def write_scene(self, scene: SceneText) -> None:
         """Write scene.toml with every value resolved."""
-        if self._writes:
-            write_text(self.path / SCENE, SCENE_HEADER + scene.to_toml())
+        on_first(self._comm, lambda: write_text(self.path / SCENE, SCENE_HEADER + scene.to_toml()))
 
     def write_summary(self, summary: Mapping[str, object]) -> None:
         """Write summary.json as strict JSON: what is not finite becomes null; NumPy values and records are unpacked."""
-        if self._writes:
-            write_json(self.path / SUMMARY, summary)
+        on_first(self._comm, lambda: write_json(self.path / SUMMARY, summary))
 
     def write_history(self, columns: Sequence[str], rows: Sequence[Mapping[str, object]]) -> None:
         """Write history.csv, one line a row; None is an empty cell, floats read back to the same bits.
 
         After the `columns` come any others of the rows, in the order in which they appear.
         """
-        if self._writes:
-            columns = list(dict.fromkeys([*columns, *(key for row in rows for key in row)]))
-            write_csv(self.path / HISTORY, columns, ([row.get(column) for column in columns] for row in rows))
+        every = list(dict.fromkeys([*columns, *(key for row in rows for key in row)]))
+        lines = ([row.get(column) for column in every] for row in rows)
+        on_first(self._comm, lambda: write_csv(self.path / HISTORY, every, lines))
 
 
-def _prepare(path: Path, overwrite: bool) -> str | None:
-    """Make the folder ready; returns what is wrong instead of raising, so that rank 0 can tell the others."""
+def _refusal(path: Path, overwrite: bool) -> str | None:
+    """Return why a run may not use the folder; None if it may.
+
+    A folder is an earlier run's where scene.toml says so; no other is ever cleared, nor the one that the user is in.
+    """
     try:
-        path.mkdir(parents=True, exist_ok=True)
         taken = [name for name in RESULTS if (path / name).exists()]
         scene = path / SCENE
-        if scene.exists() and not scene.read_text("utf-8", "replace").startswith(SCENE_HEADER):
+        ours = scene.is_file() and scene.read_text("utf-8", "replace").startswith(SCENE_HEADER)
+        if scene.exists() and not ours:
             taken.append(SCENE)
-        if taken and not overwrite:
-            return f"output folder {path} already holds {', '.join(taken)}: name another folder, or ask to overwrite"
+        if not taken:
+            return None
+        holds = f"output folder {path} already holds {', '.join(taken)}"
+        if not ours:
+            return f"{holds}, which no run of this program left there: name another folder by --output"
+        if not overwrite:
+            return f"{holds}: name another folder by --output, or replace them by --overwrite"
+        if path.resolve() == Path.cwd():
+            return f"{holds}, and is the working folder, which --overwrite does not clear: name another by --output"
+    except OSError as error:
+        return f"output folder {path} cannot be used: {error.strerror or error}"
+    return None
+
+
+def _prepare(path: Path) -> str | None:
+    """Make the folder and clear it of what an earlier run left; returns what is wrong."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
         for name in (*RESULTS, SCENE, ERROR_PLOT, SOLUTION_PLOT):
             (path / name).unlink(missing_ok=True)
         if not os.access(path, os.W_OK | os.X_OK):

@@ -66,7 +66,7 @@ class Simulation:
     Attributes
     ----------
     grid, particles, physics
-        The parts.
+        The parts. What compiles loops may be done in `before_first_use`, when nothing is left to refuse.
     total : int
         Particles on all ranks.
     step, time
@@ -83,7 +83,12 @@ class Simulation:
     """
 
     def __init__(
-        self, scene: Scene, comm: MPI.Comm, phases: Phases | None = None, physics: Physics | None = None
+        self,
+        scene: Scene,
+        comm: MPI.Comm,
+        phases: Phases | None = None,
+        physics: Physics | None = None,
+        before_first_use: Callable[[], None] = lambda: None,
     ) -> None:
         self.scene, self.comm = scene, comm
         self.phases = phases or Phases()
@@ -93,6 +98,9 @@ class Simulation:
         self.grid, self.particles = place(scene, comm, self.physics)
         self.total = comm.allreduce(self.particles.count)
         check_filter(scene, self.total, comm)
+        self.phases("compile")
+        before_first_use()
+        self.phases("setup")
         self.physics.place(self.grid, self.particles, self.phases)
         self.step = 0
         self.phases("setup")
@@ -183,17 +191,17 @@ class Simulation:
         """
         steps, output = self.scene.time.steps, self.scene.output
         reports = {*output.report_at, steps}
-        snapshots = set(range(0, steps + 1, output.every)) if output.every else set()
-        monitored = set(range(0, steps + 1, max(1, -(-steps // MONITORED))))
-        due = reports | snapshots | monitored
+        snapshots = range(0, steps + 1, output.every) if output.every else ()
+        monitored = range(0, steps + 1, max(1, -(-steps // MONITORED)))
         last, next_check, since = 0, 0, perf_counter()
         while True:
-            if self.step in due or self.step >= next_check:
+            due = self.step in snapshots or self.step in monitored or self.step in reports
+            if due or self.step >= next_check:
                 seconds = (perf_counter() - since) / max(1, self.step - last)
                 peak, stop, stride = self._agree(interrupted(), seconds)
                 if stop is not None:
                     return stop
-                if self.step in due:
+                if due:
                     self._tell(observer, peak, self.step in reports, self.step in snapshots)
                 last, next_check, since = self.step, self.step + stride, perf_counter()
             if self.step >= steps:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mpipic.agreement import on_first
 from mpipic.console import Console, Progress
-from mpipic.errors import NotConverged
+from mpipic.errors import NotConverged, WriteFailed
 from mpipic.io.run_directory import ERROR_PLOT, PARTICLES, SOLUTION_PLOT, RunDirectory
 from mpipic.parts import A_FILTER, PENALTY
 from mpipic.phases import Phases
@@ -18,12 +20,11 @@ from mpipic.run.diagnostics import ErrorReport
 from mpipic.run.facts import STEP_PHASES, versions
 from mpipic.run.limits import cfl_limit
 from mpipic.run.loop import Outcome, Simulation
-from mpipic.run.ranks import check_ranks
 from mpipic.run.warmup import compile_loops
 from mpipic.runtime import StopRequest
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
     from mpi4py import MPI
 
@@ -33,7 +34,24 @@ if TYPE_CHECKING:
     from mpipic.plots.solution import Exact
     from mpipic.scene.records import Scene
 
-EXIT_CODES = {"completed": 0, "unstable": 3, "interrupted": 130}
+EXIT_CODES = {"completed": 0, "failed": 1, "unstable": 3, "interrupted": 130}
+
+
+class Losses:
+    """Keeps what could not be written, so that the rest still is."""
+
+    def __init__(self) -> None:
+        self.reasons: list[str] = []
+        """Why, one entry a reason."""
+
+    @contextmanager
+    def noted(self) -> Iterator[None]:
+        """Keep the reason of a `WriteFailed`, which all ranks raise together, instead of passing it on."""
+        try:
+            yield
+        except WriteFailed as error:
+            if str(error) not in self.reasons:
+                self.reasons.append(str(error))
 
 
 class Recorder:
@@ -71,11 +89,13 @@ class Recorder:
         rate = self._simulation.total * step / max(perf_counter() - self._since, 1e-9)
         self._progress.update(step, time, self._peak, rate)
 
-    def finish(self) -> None:
-        """Bring snapshots and history to their end. Collective."""
+    def finish(self, losses: Losses) -> None:
+        """Bring snapshots and history to their end, as far as the disk lets it. Collective."""
         if self._series is not None:
-            self._series.close()
-        self.write_history()
+            with losses.noted():
+                self._series.close()
+        with losses.noted():
+            self.write_history()
 
     @property
     def _peak_column(self) -> str:
@@ -92,14 +112,13 @@ class Recorder:
 def run(scene: Scene, comm: MPI.Comm, output: Path | None, overwrite: bool, console: Console, plots: bool) -> int:
     """Run a scene into a run directory; returns the exit code.
 
-    0 completed, 3 unstable, 130 interrupted. Raises SceneError, OutputError. Collective.
+    0 completed, 1 not all could be written, 3 unstable, 130 interrupted. Raises SceneError, OutputError. Collective.
     """
     began = perf_counter()
     phases = Phases()
-    check_ranks(scene, comm.size)
-    phases("compile")
-    compile_loops(scene)
-    simulation = Simulation(scene, comm, phases)
+    if output is not None:
+        RunDirectory.check(output, comm, overwrite)
+    simulation = Simulation(scene, comm, phases, before_first_use=lambda: compile_loops(scene))
     # only now: a scene that is refused must neither leave a directory nor clear one
     path = output if output is not None else RunDirectory.default(scene.name, comm)
     directory = RunDirectory(path, comm, overwrite)
@@ -110,40 +129,64 @@ def run(scene: Scene, comm: MPI.Comm, output: Path | None, overwrite: bool, cons
     console.banner(banner(simulation, path, limit))
     if limit is not None and scene.cfl > limit:
         console.warning(f"CFL {scene.cfl:.4g} is above {limit:.4g}, the limit of this scheme: sound waves will grow")
-    stop = StopRequest()
+    losses = Losses()
     try:
-        outcome, recorder = _take_steps(simulation, directory, console, stop)
+        outcome = _steps_and_results(simulation, directory, console, losses, plots, limit, began)
+        console.phase_table(_at_least_a_millisecond(phases.seconds), perf_counter() - began)
+        console.message(f"results in {path}")
+    finally:
+        for reason in losses.reasons:
+            console.fail(reason)
+    simulation.close()
+    return EXIT_CODES["failed"] if losses.reasons else EXIT_CODES[outcome.status]
+
+
+def _steps_and_results(
+    simulation: Simulation,
+    directory: RunDirectory,
+    console: Console,
+    losses: Losses,
+    plots: bool,
+    limit: float | None,
+    began: float,
+) -> Outcome:
+    """Take the steps, say how it went, and leave the files, whatever of them can be written. Collective."""
+    phases, stop = simulation.phases, StopRequest()
+    try:
+        outcome, recorder = _take_steps(simulation, directory, console, stop, losses)
         seconds = {"total": perf_counter() - began, "setup": phases.total("setup", "compile")}
-        directory.write_summary(summary(simulation, outcome, recorder.reports, seconds))
+        content = summary(simulation, outcome, recorder.reports, seconds, losses.reasons)
+        with losses.noted():
+            directory.write_summary(content)
         _say(console, outcome, simulation, recorder, limit)
-        if plots and outcome.status != "interrupted":
+        if plots and outcome.status not in ("interrupted", "failed"):
             phases("pictures")
-            _draw(directory, simulation, outcome, recorder)
+            with losses.noted():
+                _draw(directory, simulation, outcome, recorder)
             phases("other")
     finally:
         stop.release()
-    console.phase_table(_at_least_a_millisecond(phases.seconds), perf_counter() - began)
-    console.message(f"results in {path}")
-    simulation.close()
-    return EXIT_CODES[outcome.status]
+    return outcome
 
 
 def _take_steps(
-    simulation: Simulation, directory: RunDirectory, console: Console, stop: StopRequest
+    simulation: Simulation, directory: RunDirectory, console: Console, stop: StopRequest, losses: Losses
 ) -> tuple[Outcome, Recorder]:
-    """Run to the end, and leave snapshots and history complete, also where a solver gives up. Collective."""
+    """Run to the end, and leave snapshots and history complete, also where a solver or the disk fails. Collective."""
     physics = simulation.physics
     watched = physics.symbols.get(physics.watched, physics.watched)
+    outcome = None
     with console.progress(simulation.scene.time.steps, watched) as progress:
         recorder = Recorder(simulation, directory, progress)
         try:
-            outcome = simulation.run(recorder, stop)
+            with losses.noted():
+                outcome = simulation.run(recorder, stop)
         except NotConverged:
-            recorder.finish()
+            recorder.finish(losses)
             raise
     simulation.phases("output")
-    recorder.finish()
-    return outcome, recorder
+    recorder.finish(losses)
+    return outcome or Outcome("failed", simulation.step), recorder
 
 
 def banner(simulation: Simulation, path: Path, limit: float | None = None) -> list[tuple[str, str]]:
@@ -167,9 +210,13 @@ def banner(simulation: Simulation, path: Path, limit: float | None = None) -> li
 
 
 def summary(
-    simulation: Simulation, outcome: Outcome, reports: list[ErrorReport], seconds: dict[str, float]
+    simulation: Simulation,
+    outcome: Outcome,
+    reports: list[ErrorReport],
+    seconds: dict[str, float],
+    lost: Sequence[str] = (),
 ) -> dict[str, object]:
-    """Return the content of summary.json. Collective."""
+    """Return the content of summary.json, with what could not be written where there is such. Collective."""
     phases = simulation.phases
     stepping = phases.total(*STEP_PHASES)
     # a blow-up is dated to its step, but steps go on until the ranks next look
@@ -195,6 +242,8 @@ def summary(
         "scene": simulation.scene.to_dict(),
         "versions": versions(),
     }
+    if lost:
+        result["lost"] = lost
     if outcome.blow_up is not None:
         result["blow_up"] = outcome.blow_up
         result["cfl"] = simulation.scene.cfl
@@ -205,6 +254,8 @@ def _say(console: Console, outcome: Outcome, simulation: Simulation, recorder: R
     console.error_table(recorder.reports)
     if outcome.status == "interrupted":
         console.warning(f"interrupted after step {outcome.step}; what was recorded until then is complete")
+    if outcome.status == "failed":
+        console.warning(f"ended after step {outcome.step}: not all could be written; what was written before is kept")
     if outcome.blow_up is not None:
         bad, scene = outcome.blow_up, simulation.scene
         console.fail(
@@ -230,23 +281,27 @@ def _at_least_a_millisecond(seconds: dict[str, float]) -> dict[str, float]:
 
 
 def _draw(directory: RunDirectory, simulation: Simulation, outcome: Outcome, recorder: Recorder) -> None:
+    """Draw the pictures on rank 0. Collective."""
     from mpipic.plots.history import draw_error
     from mpipic.plots.sample import gather_sample
     from mpipic.plots.solution import draw_solution
     from mpipic.plots.style import Subject
 
     sample = gather_sample(simulation.particles, simulation.comm)
-    if sample is None:
-        return
     scene, step, physics = simulation.scene, simulation.step, simulation.physics
     vector = next((name for name, shape in physics.fields(scene.dim).items() if shape == (scene.dim,)), None)
     subject = Subject(
         scene.name, scene.filter.kind, scene.grid.length, scene.h, physics.watched, vector, physics.symbols
     )
-    known = physics.exact(np.zeros((1, scene.dim)), simulation.time) is not None
-    exact = _exact_of(physics) if known else None
-    draw_error(directory.path / ERROR_PLOT, recorder.rows, subject, outcome.status == "unstable")
-    draw_solution(directory.path / SOLUTION_PLOT, subject, simulation.time, step, sample, exact)
+
+    def draw() -> None:
+        assert sample is not None
+        known = physics.exact(np.zeros((1, scene.dim)), simulation.time) is not None
+        exact = _exact_of(physics) if known else None
+        draw_error(directory.path / ERROR_PLOT, recorder.rows, subject, outcome.status == "unstable")
+        draw_solution(directory.path / SOLUTION_PLOT, subject, simulation.time, step, sample, exact)
+
+    on_first(simulation.comm, draw)
 
 
 def _exact_of(physics: Physics) -> Exact:
