@@ -54,7 +54,13 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
-        raise AttributeError(f"module 'mpipic' has no attribute {name!r}")
+        near = import_module("mpipic.wording").closest(name, __all__)
+        hint = f"; did you mean {near!r}?" if near else ""
+        raise AttributeError(f"module 'mpipic' has no attribute {name!r}{hint}")
     if _HOMES[name] == "scene.records":
         import_module("mpipic.run.parts")  # all that a scene can name
     return getattr(import_module(f"mpipic.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence, Set
 import numpy as np
 import numpy.typing as npt
 
+from mpipic.arrays import FloatArray, Shape
 from mpipic.wording import closest, listed
 
 MOST_AXES = 8
@@ -77,7 +78,7 @@ def choice(name: str, given: object, known: Sequence[str]) -> str:
 
 
 def real_array(name: str, given: object) -> RealArray:
-    """Return an array of real numbers of whatever type was given; complex, masked, text and objects are refused.
+    """Return an array of real numbers of the type that was given; complex, masked, text and objects are refused.
 
     Raises
     ------
@@ -87,9 +88,62 @@ def real_array(name: str, given: object) -> RealArray:
         raise TypeError(f"{name} must not be a masked array: masks are not known here; give the numbers alone")
     try:
         array = np.asarray(given)
-    except (TypeError, ValueError) as error:
+    except Exception as error:
         raise TypeError(f"{name} must be an array of real numbers, not {told(given)}: {error}") from None
     if array.dtype.kind not in "biuf":
-        what = f"numbers of type {array.dtype}" if array.dtype.kind == "c" else told(given)
-        raise TypeError(f"{name} must be an array of real numbers, not {what} (type {array.dtype})")
+        raise TypeError(f"{name} must be an array of real numbers, not {told(given if array.ndim == 0 else array)}")
+    return array if array.dtype.isnative else array.astype(array.dtype.newbyteorder("="))
+
+
+def rows(name: str, given: object, count: int, last: int | None = None) -> RealArray:
+    """Return the values of `count` particles, (count, *shape); where `last` is given, that is how shape must end.
+
+    Of no particles an array (0,) will do for values of any shape.
+    """
+    array = real_array(name, given)
+    if count == 0 and array.shape == (0,):
+        return array if last is None else np.empty((0, last))
+    fits = array.ndim > 0 and len(array) == count and (last is None or (array.ndim > 1 and array.shape[-1] == last))
+    if not fits or array.ndim > MOST_AXES + 1:
+        end = "" if last is None else f", {last}"
+        forms = f"({count},) or ({count}, ...)" if last is None else f"({count}, ...{end})"
+        raise ValueError(
+            f"{name} must have shape {forms}, a row for each of this rank's {count} particles and at most "
+            f"{MOST_AXES} axes more, not {array.shape}"
+        )
     return array
+
+
+def positions(name: str, given: object, dim: int, count: int | None = None) -> FloatArray:
+    """Return vectors, one a particle, as (n, d), n = `count` if known; of no particles an array (0,) will do."""
+    array = real_array(name, given)
+    if array.shape == (0,):
+        array = array.reshape(0, dim)
+    if array.ndim != 2 or array.shape[1] != dim or count not in (None, len(array)):
+        turned = "; rows are particles, columns are axes: transpose it" if array.shape[:1] == (dim,) else ""
+        turned = f"; {name}[:, None] has it" if dim == 1 and array.ndim == 1 else turned
+        n = "n" if count is None else count
+        raise ValueError(f"{name} must have shape ({n}, {dim}), one row a particle, not {array.shape}{turned}")
+    return np.asarray(array, dtype=np.float64)
+
+
+def nodal_rows(name: str, given: object, nodes: int, own: Shape, last: int | None = None) -> RealArray:
+    """Return nodal values, (nodes, *shape), own and ghost nodes; where `last` is given, that is how shape must end."""
+    array = real_array(name, given)
+    fits = array.ndim > 0 and len(array) == nodes and (last is None or (array.ndim > 1 and array.shape[-1] == last))
+    if not fits or array.ndim > MOST_AXES + 1:
+        forms = f"({nodes},) or ({nodes}, ...)" if last is None else f"({nodes}, ..., {last})"
+        cut = "; own nodes alone, as Grid.owned shows them, do not do" if array.shape[: len(own)] == own else ""
+        raise ValueError(f"{name} must have shape {forms}, a row for each own and ghost node, not {array.shape}{cut}")
+    return array
+
+
+def nodal_array(name: str, given: object, nodes: int, own: Shape, in_place: bool) -> npt.NDArray[np.generic]:
+    """Return a nodal array (nodes, *shape) itself, to look into or, `in_place`, to be changed."""
+    if not isinstance(given, np.ndarray) or isinstance(given, np.ma.MaskedArray):
+        raise TypeError(f"{name} must be a NumPy array of shape ({nodes}, ...), not {told(given)}")
+    nodal_rows(name, given, nodes, own)
+    if in_place and not (given.dtype == np.float64 and given.flags.c_contiguous and given.flags.writeable):
+        flaw = given.dtype if given.flags.c_contiguous and given.flags.writeable else "not, or is read-only"
+        raise TypeError(f"{name} is changed in place: it must be a C-contiguous array of float64, and is {flaw}")
+    return given

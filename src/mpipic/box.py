@@ -38,7 +38,7 @@ def misplaced(position: FloatArray, h: Sequence[float]) -> Iterator[tuple[str, n
         yield TOO_FAR, finite & (np.spacing(np.abs(position)) > np.array(h)).any(axis=1)
 
 
-def first_misplaced(position: FloatArray, h: Sequence[float]) -> str | None:
+def first_misplaced(name: str, position: FloatArray, h: Sequence[float]) -> str | None:
     """Return which of the positions (n, d) is the first to break a rule, and which; None if none does. O(n)."""
     if position.size and np.abs(position).max() < 2.0**51 * min(h):  # the spacing of such numbers is below min(h) / 2
         return None
@@ -46,4 +46,4 @@ def first_misplaced(position: FloatArray, h: Sequence[float]) -> str | None:
     if not found:
         return None
     row, rule = min(found)
-    return f"position {row} = {position[row].tolist()} {rule}"
+    return f"{name} {row} = {position[row].tolist()} {rule}"

@@ -19,6 +19,7 @@ NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Share = Annotated[float, Field(gt=0, lt=1)]
 Count = Annotated[int, Field(ge=1)]
 CountOrZero = Annotated[int, Field(ge=0)]
+UpTo1000 = Annotated[int, Field(ge=1, le=1000)]
 UpTo8 = Annotated[int, Field(ge=1, le=8)]
 UpTo8OrZero = Annotated[int, Field(ge=0, le=8)]
 EvenUpTo12 = Annotated[int, Field(ge=2, le=12, multiple_of=2)]
@@ -113,3 +114,12 @@ def is_normal(*numbers: float) -> bool:
     """Return whether all are above 0, and both they and their inverses are numbers of full precision."""
     least = sys.float_info.min
     return all(least <= number <= 1 / least for number in numbers)
+
+
+def plain(value: Any, depth: int = 3) -> Any:
+    """Return lists as tuples, down to a depth that no key has, and arrays and numbers of NumPy as Python's."""
+    value = value.tolist() if hasattr(value, "tolist") else value
+    if depth and isinstance(value, (list, tuple)):
+        return tuple(plain(item, depth - 1) for item in value)
+    # a longdouble remains one
+    return float(value) if hasattr(value, "dtype") and value.dtype.kind == "f" and value.ndim == 0 else value

@@ -23,7 +23,11 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, TypeVar, cast
 
-from mpipic.keys import Key, Keys
+from pydantic import ValidationError
+
+from mpipic.arguments import told
+from mpipic.keys import Key, Keys, plain
+from mpipic.wording import closest, listed
 
 ORDER = (
     "physics.kind", "grid", "particles.layout", "gas", "initial.profile", "mapping.basis", "mapping.mass",
@@ -310,6 +314,22 @@ def settings_of(part: type[Part], known: Mapping[str, Any]) -> dict[str, Any]:
     return {name: known.get(name, one.default) for name, one in part.keys().items()}
 
 
+def checked_settings(part: type[Part], given: Mapping[str, object]) -> dict[str, Any]:
+    """Return values of a part's keys as numbers of Python, by their names in its section, of those given.
+
+    Raises ValueError naming each that breaks its rule, and the rule.
+    """
+    values = {name: plain(value) for name, value in given.items()}
+    try:
+        known = part.Settings.model_validate(values).model_dump()
+        return {name: known[name] for name in values}
+    except ValidationError as error:
+        wrong = dict.fromkeys(str(item["loc"][0]) for item in error.errors(include_url=False, include_input=False))
+        keys = part.keys()
+        rules = [f"{name} must be {keys[name].rule}, not {told(given[name])}" for name in wrong]
+        raise ValueError("; ".join(rules)) from None
+
+
 def file_keys() -> list[str]:
     """Return the dotted keys that name files."""
     return [one.dotted for part in registered() for one in part.keys().values() if one.is_file]
@@ -331,7 +351,13 @@ class Choices(Mapping[str, type[P]], Generic[P]):
         self._base = base
 
     def __getitem__(self, kind: str) -> type[P]:
-        return self._parts()[kind]
+        found = self._parts()
+        if kind not in found:
+            near = closest(kind, list(found))
+            raise KeyError(
+                f"there is no {kind!r}, only {listed(found)}" + (f'; did you mean "{near}"?' if near else "")
+            )
+        return found[kind]
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._parts())

@@ -50,6 +50,9 @@ def test_what_tells_no_cell_is_found_and_the_first_is_named():
     position = np.array([[0.1, 0.1], [0.1, far], [np.nan, 0.0], [-np.inf, far], [far, -far / 8]])
     found = {rule: np.flatnonzero(broken).tolist() for rule, broken in misplaced(position, h)}
     assert list(found.values()) == [[2, 3], [1]]
-    assert first_misplaced(position[2:], h) == "position 0 = [nan, 0.0] is not finite"
-    assert first_misplaced(position, h).startswith(f"position 1 = [0.1, {far!r}] is so far away")
-    assert first_misplaced(position[[0, 4]], h) is None and first_misplaced(np.empty((0, 2)), h) is None
+    assert first_misplaced("position", position[2:], h) == "position 0 = [nan, 0.0] is not finite"
+    assert first_misplaced("position", position, h).startswith(f"position 1 = [0.1, {far!r}] is so far away")
+    assert (
+        first_misplaced("position", position[[0, 4]], h) is None
+        and first_misplaced("position", np.empty((0, 2)), h) is None
+    )

@@ -128,7 +128,7 @@ def test_changing_the_filter_of_a_scene_leaves_its_settings_unused_and_valid():
 
 
 def test_what_nothing_uses_must_still_be_right():
-    assert message("filter.order=0") == "filter.order = 0: must be a whole number, 1 or above"
+    assert message("filter.order=0") == "filter.order = 0: must be a whole number from 1 to 1000"
     error = refused({}, ["filter.order=zero", "filter.tolerance=2", "mapping.penalty=-1"])
     assert [problem.key for problem in error.problems] == ["mapping.penalty", "filter.order", "filter.tolerance"]
 

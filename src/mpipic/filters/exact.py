@@ -80,8 +80,8 @@ class ExactFilter(NodalFilter):
         return gram_doubles(v) if cls.acts(v) and not v.has(GRAM_SOLVER) else 0
 
     def __init__(self, mapping: NodalMapping, tolerance: float = 1e-10, prefix: str = "filter_") -> None:
-        super().__init__(mapping)
-        self.tolerance, self.prefix = tolerance, prefix
+        super().__init__(mapping, tolerance=tolerance)
+        self.tolerance, self.prefix = float(self.settings["tolerance"]), prefix
         self.iterations = 0
 
     @cached_property

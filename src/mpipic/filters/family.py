@@ -7,12 +7,16 @@ nodal coefficients a = N Φᵀq, and their result is Φ a.
 
 from __future__ import annotations
 
+import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Hashable, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from mpipic.arrays import FloatArray
-from mpipic.parts import A_FILTER, NODAL_FILTER, NODAL_GRADIENTS, Choices, Part, Values
+import numpy.typing as npt
+
+from mpipic.arguments import choice, told
+from mpipic.arrays import FloatArray, columns_of
+from mpipic.parts import A_FILTER, NODAL_FILTER, NODAL_GRADIENTS, Choices, Part, Values, checked_settings
 
 if TYPE_CHECKING:
     from mpi4py import MPI
@@ -50,7 +54,19 @@ class Filter(FilterPart, ABC):
     mapping
         What the filter works with; when it moves on to new positions, so does the filter.
 
-    A class takes the keys of its `Settings` as further keywords, with the same defaults.
+    settings
+        Values of the keys of `Settings`; a class takes them as keywords, with the same defaults.
+
+    Raises
+    ------
+    TypeError
+        `mapping` is none.
+    ValueError
+        A setting breaks its rule, or differs between ranks; on all ranks together.
+
+    Notes
+    -----
+    Building is collective; one reduction to agree.
     """
 
     brings_in: ClassVar[tuple[str, ...]] = ("filter",)
@@ -61,11 +77,22 @@ class Filter(FilterPart, ABC):
         """Raise TooLarge on all ranks if there is no memory for the filter. Collective."""
         return
 
-    def __init__(self, mapping: NodalMapping) -> None:
+    def __init__(self, mapping: NodalMapping, **settings: object) -> None:
+        from mpipic.mapping.base import NodalMapping
+        from mpipic.mesh.agreement import Said, together
+
+        if not isinstance(mapping, NodalMapping):
+            raise TypeError(f"{type(self).__name__} needs a Mapping, not {told(mapping)}")
         self.mapping = mapping
 
-    @abstractmethod
-    def apply(self, q: FloatArray) -> FloatArray:
+        def say(known: dict[str, Any]) -> Said:
+            words = ", ".join(f"{name} {value!r}" for name, value in known.items())
+            return Said([zlib.crc32(words.encode())], words)
+
+        verb = type(self).__name__
+        self.settings, _ = together(mapping.grid.comm, verb, lambda: checked_settings(type(self), settings), say)
+
+    def apply(self, q: npt.ArrayLike) -> FloatArray:
         """F q: filtered particle values.
 
         Keeps constants (F 1 = 1).
@@ -73,18 +100,32 @@ class Filter(FilterPart, ABC):
         Parameters
         ----------
         q : (n, *shape)
-            Particle values, any unit, components filtered one by one. Not modified.
+            Values of this rank's particles in the order of the mapping's positions, real numbers, any unit, components
+            filtered one by one. Not modified. Without particles (0,) will do.
 
         Returns
         -------
-        array, shape and unit of `q`
+        array, shape and unit of `q`, float64
+
+        Raises
+        ------
+        ValueError, TypeError
+            `q` is nothing like that, or of another shape on another rank; on all ranks together.
 
         Notes
         -----
-        Collective.
+        Collective; one reduction to agree, and what `filtered` costs.
         """
+        values = self.mapping.agreed(f"{type(self).__name__}.apply", q)
+        columns = columns_of(values)
+        result = self.filtered(columns) if columns.shape[1] else columns
+        return result.reshape(values.shape)
 
-    def __call__(self, q: FloatArray) -> FloatArray:
+    @abstractmethod
+    def filtered(self, columns: FloatArray) -> FloatArray:
+        """F columns: (n, k) to the same, k >= 1, float64 and C-contiguous, which is not checked. Collective."""
+
+    def __call__(self, q: npt.ArrayLike) -> FloatArray:
         """F q, as `apply`."""
         return self.apply(q)
 
@@ -125,9 +166,9 @@ class NodalFilter(Filter):
             nothing is remembered, and equal arguments give equal results.
         """
 
-    def apply(self, q: FloatArray) -> FloatArray:
-        """F q; see `Filter.apply`. Collective; one pass to the nodes, one back, and what `coefficients` costs."""
-        return self.mapping.g2p(self.coefficients(self.mapping.sums(q)))
+    def filtered(self, columns: FloatArray) -> FloatArray:
+        """F columns. Collective; one pass to the nodes, one back, and what `coefficients` costs."""
+        return self.mapping.g2p(self.coefficients(self.mapping.column_sums(columns)))
 
 
 FILTERS: Choices[Filter] = Choices(Filter)
@@ -135,5 +176,5 @@ FILTERS: Choices[Filter] = Choices(Filter)
 
 
 def create(kind: str, mapping: NodalMapping, settings: Mapping[str, Any]) -> Filter:
-    """Return the filter `kind` with its settings by name."""
-    return FILTERS[kind](mapping, **settings)
+    """Return the filter `kind` with its settings by name. Collective."""
+    return FILTERS[choice("kind", kind, list(FILTERS))](mapping, **settings)

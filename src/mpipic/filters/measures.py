@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from mpi4py import MPI
 
-from mpipic.arrays import FloatArray
+from mpipic.arrays import FloatArray, columns_of
 from mpipic.errors import NotConverged
 from mpipic.filters.exact import ExactFilter
 from mpipic.mapping.mapping import Mapping
@@ -22,7 +22,7 @@ def null_space_fraction(grid: Grid, particles: Particles, field: FloatArray) -> 
     the gradient is not finite. Collective; costs about a step with the exact filter, and its memory.
     """
     mapping = Mapping.at(grid, particles)
-    q = mapping.gradient(mapping.p2g(np.ascontiguousarray(field)))
+    q = mapping.gradient(mapping.p2g(field))
     return share_unseen(mapping, q)
 
 
@@ -31,7 +31,7 @@ def share_unseen(mapping: Mapping, q: FloatArray) -> float | None:
 
     Collective.
     """
-    grid = mapping.grid
+    grid, q = mapping.grid, columns_of(mapping.agreed("share_unseen", q))
     largest = grid.reduce(np.array([np.where(np.isfinite(q), np.abs(q), np.inf).max(initial=0.0)]), MPI.MAX)[0]
     if largest == 0.0 or not np.isfinite(largest):
         return 0.0 if largest == 0.0 else None

@@ -19,7 +19,7 @@ import psutil
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from mpipic.arrays import FloatArray, columns_of
+from mpipic.arrays import FloatArray
 from mpipic.errors import NotConverged
 from mpipic.filters.family import TooLarge
 from mpipic.kernels import spline
@@ -94,12 +94,12 @@ class RowSpace:
         """Bytes of own rows."""
         return self.basis.nbytes
 
-    def project(self, q: FloatArray) -> FloatArray:
-        """Return V^-½ V_r V_rᵀ V^½ q, (n, *shape). Collective; one reduction of r numbers a component."""
+    def project(self, columns: FloatArray) -> FloatArray:
+        """Return V^-½ V_r V_rᵀ V^½ columns, (n, k). Collective; one reduction of r numbers a column."""
         each = self.each[:, None]
-        amounts = np.ascontiguousarray(self.basis.T @ (each * columns_of(q)))
+        amounts = np.ascontiguousarray(self.basis.T @ (each * columns))
         self.grid.reduce(amounts)
-        return np.asarray((self.basis @ amounts) / each).reshape(q.shape)
+        return np.asarray((self.basis @ amounts) / each)
 
 
 def solver_class() -> type[Solver]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from mpipic.arrays import FloatArray
 from mpipic.filters.family import NodalFilter
-from mpipic.keys import FROM_1, Count, Keys, key
+from mpipic.keys import Keys, UpTo1000, key
 from mpipic.parts import Values
 
 if TYPE_CHECKING:
@@ -55,7 +55,9 @@ class _Series(NodalFilter):
     class Settings(Keys):
         """Keys of the filter."""
 
-        order: Count = key(2, FROM_1, "terms of the series, each of which costs a halo exchange")
+        order: UpTo1000 = key(
+            2, "a whole number from 1 to 1000", "terms of the series, each of which costs a halo exchange"
+        )
 
     @classmethod
     def describe(cls, v: Values) -> str:
@@ -64,10 +66,8 @@ class _Series(NodalFilter):
         return f"{cls.kind} {order}: neighbours only, {order} halo exchange{'s' * (order > 1)} an application"
 
     def __init__(self, mapping: NodalMapping, order: int = 2) -> None:
-        super().__init__(mapping)
-        if order < 1:
-            raise ValueError(f"order must be 1 or above, not {order}")
-        self.order = order
+        super().__init__(mapping, order=order)
+        self.order = int(self.settings["order"])
 
     def coefficients(
         self, sums: FloatArray, out: FloatArray | None = None, series: Hashable | None = None

@@ -80,9 +80,9 @@ class SvdFilter(Filter):
             self._rows, self._version = RowSpace(self.mapping), self.mapping.version
         return self._rows
 
-    def apply(self, q: FloatArray) -> FloatArray:
-        """V_r V_rᵀ q; see `Filter.apply`."""
-        return self.rows.project(q)
+    def filtered(self, columns: FloatArray) -> FloatArray:
+        """V_r V_rᵀ columns. Collective."""
+        return self.rows.project(columns)
 
     @property
     def nbytes(self) -> int:

@@ -3,7 +3,10 @@
 Symbols as in the method: Φ interpolates nodes to particles, D^a differentiates, V are particle weights (1 by default),
 d = ΦᵀV1 are the row sums, S = diag(d)⁻¹ΦᵀV is the paper's mapping matrix, and G = ΦᵀVΦ.
 
-Values have any shape, (n, *shape) on particles and (local_nodes, *shape) on nodes; each component is mapped alike.
+Values have any shape, (n, *shape) on particles and (local_nodes, *shape) on nodes; each component is mapped alike. They
+are real numbers of any type, calculated with as float64: whole numbers beyond 2^53 lose digits, as NumPy's do.
+Infinities and NaN are values like others. Everything else is refused, complex, masked, too few or too many: by verbs
+that are collective on all ranks together, at the cost of one reduction of a few numbers.
 """
 
 from __future__ import annotations
@@ -12,10 +15,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 
 import numpy as np
+import numpy.typing as npt
 
-from mpipic.arrays import FloatArray, IntArray, columns_of
+from mpipic.arguments import RealArray, nodal_rows, rows
+from mpipic.arrays import FloatArray, IntArray, columns_of, size_of
 from mpipic.kernels import generic, spline, stencil
 from mpipic.mapping.gram import Gram
+from mpipic.mesh.agreement import values_together
 from mpipic.mesh.grid import Grid
 
 
@@ -71,73 +77,106 @@ class NodalMapping(ABC):
         """V_p, (n,); None where each particle counts 1. Local."""
         return None
 
+    def agreed(self, verb: str, values: npt.ArrayLike, last: int | None = None) -> RealArray:
+        """Return values (n, *shape) of this rank's n particles, once all ranks have such, and of the same shape.
+
+        A rank without particles may give (0,) and gets (0, *shape). `last` is what shape must end with.
+
+        Raises
+        ------
+        ValueError, TypeError
+            On all ranks together, naming the rank that gave something else.
+
+        Notes
+        -----
+        Collective; one reduction.
+        """
+        return values_together(self.grid.comm, verb, lambda: rows("values", values, self.count, last))
+
+    def nodal(self, values: npt.ArrayLike, last: int | None = None) -> RealArray:
+        """Return nodal values (local_nodes, *shape) as an array, or raise ValueError or TypeError. Local."""
+        return nodal_rows("nodal", values, self.grid.local_nodes, self.grid.owned_shape, last)
+
     # ------------------------------------------------------------ particles to nodes
 
-    def sums(self, values: FloatArray) -> FloatArray:
+    def sums(self, values: npt.ArrayLike) -> FloatArray:
         """Return ΦᵀV values: (n, *shape) to (local_nodes, *shape).
 
-        Σ over own nodes of all ranks = Σ over particles. Collective.
+        Σ over own nodes of all ranks = Σ over particles. Collective; refuses as `agreed` does.
         """
-        rows = columns_of(values)
-        if self.weight is not None:
-            rows = rows * self.weight[:, None]
-        out = self.grid.zeros(rows.shape[1])
-        spline.add_sums(self.grid.degree, *self.located, rows, *self.geometry, out)
-        return self.complete(out).reshape(-1, *np.shape(values)[1:])
+        q = self.agreed("sums", values)
+        return self.column_sums(columns_of(q)).reshape(self.grid.local_nodes, *q.shape[1:])
 
-    def p2g(self, values: FloatArray) -> FloatArray:
+    def column_sums(self, columns: FloatArray) -> FloatArray:
+        """Return ΦᵀV columns: (n, k), float64, C-contiguous, which is not checked, to (local_nodes, k). Collective."""
+        if self.weight is not None:
+            columns = columns * self.weight[:, None]
+        out = self.grid.zeros(columns.shape[1])
+        spline.add_sums(self.grid.degree, *self.located, columns, *self.geometry, out)
+        return self.complete(out)
+
+    def p2g(self, values: npt.ArrayLike) -> FloatArray:
         """Return S values, weighted means at the nodes: (n, *shape) to (local_nodes, *shape).
 
-        Keeps constants; 0 on nodes that no particle sees. Collective.
+        Keeps constants; 0 on nodes that no particle sees. Collective; refuses as `agreed` does.
         """
-        return self.divide(self.sums(values))
+        q = self.agreed("p2g", values)
+        return self.divide(self.column_sums(columns_of(q))).reshape(self.grid.local_nodes, *q.shape[1:])
 
-    def adjoint_gradient(self, values: FloatArray) -> FloatArray:
+    def adjoint_gradient(self, values: npt.ArrayLike) -> FloatArray:
         """Return Σ_a (D^a)ᵀ values_a: (n, *shape, d) to (local_nodes, *shape).
 
-        ⟨w, adjoint_gradient(q)⟩ over own nodes = ⟨gradient(w), q⟩ over particles; unweighted. Collective.
+        ⟨w, adjoint_gradient(q)⟩ over own nodes = ⟨gradient(w), q⟩ over particles; unweighted. Collective; refuses as
+        `agreed` does.
         """
-        dim, shape = self.grid.dim, np.shape(values)[1:-1]
-        rows = columns_of(values).reshape(self.count, -1, dim)
-        out = self.grid.zeros(rows.shape[1])
-        for column in range(rows.shape[1]):
-            along, total = np.ascontiguousarray(rows[:, column]), np.zeros(len(out))
+        q, dim = self.agreed("adjoint_gradient", values, last=self.grid.dim), self.grid.dim
+        shape = q.shape[1:-1]
+        vectors = columns_of(q).reshape(self.count, size_of(shape), dim)
+        out = self.grid.zeros(vectors.shape[1])
+        for column in range(vectors.shape[1]):
+            along, total = np.ascontiguousarray(vectors[:, column]), np.zeros(len(out))
             spline.add_divergence_sums(self.grid.degree, *self.located, along, *self.differences, total)
             out[:, column] = total
-        return self.complete(out).reshape(-1, *shape)
+        return self.complete(out).reshape(self.grid.local_nodes, *shape)
 
     # ------------------------------------------------------------ nodes to particles
 
-    def g2p(self, nodal: FloatArray) -> FloatArray:
-        """Return Φ nodal, spline values: (local_nodes, *shape) to (n, *shape).
+    def g2p(self, nodal: npt.ArrayLike) -> FloatArray:
+        """Return Φ nodal, spline values: (local_nodes, *shape), ghosts filled, to (n, *shape).
 
-        Keeps constants and linear functions. Local.
+        Keeps constants and linear functions. Local; other rows than own and ghost nodes are refused.
         """
-        rows = columns_of(nodal)
-        out = np.zeros((self.count, rows.shape[1]))
-        rate = np.ones(rows.shape[1])
-        spline.add_interpolated(self.grid.degree, *self.located, rows, rate, *self.geometry, out)
-        return out.reshape(-1, *np.shape(nodal)[1:])
+        values = self.nodal(nodal)
+        columns = columns_of(values)
+        out = np.zeros((self.count, columns.shape[1]))
+        rate = np.ones(columns.shape[1])
+        spline.add_interpolated(self.grid.degree, *self.located, columns, rate, *self.geometry, out)
+        return out.reshape(self.count, *values.shape[1:])
 
-    def gradient(self, nodal: FloatArray) -> FloatArray:
-        """Return D^a nodal, a last: (local_nodes, *shape) to (n, *shape, d).
+    def gradient(self, nodal: npt.ArrayLike) -> FloatArray:
+        """Return D^a nodal, a last: (local_nodes, *shape), ghosts filled, to (n, *shape, d).
 
-        On a node it is the slope of the cell to its right. Local; one pass a component.
+        On a node it is the slope of the cell to its right. Local; one pass a component. Refuses as `g2p` does.
         """
-        rows, shape = columns_of(nodal), np.shape(nodal)[1:]
-        out = np.zeros((rows.shape[1], self.count, self.grid.dim))
-        for column in range(rows.shape[1]):
-            values = np.ascontiguousarray(rows[:, column])
-            spline.add_gradient(self.grid.degree, *self.located, values, 1.0, *self.differences, out[column])
-        return np.moveaxis(out, 0, 1).reshape(self.count, *shape, self.grid.dim)
+        values = self.nodal(nodal)
+        columns, dim = columns_of(values), self.grid.dim
+        out = np.zeros((columns.shape[1], self.count, dim))
+        for column in range(columns.shape[1]):
+            one = np.ascontiguousarray(columns[:, column])
+            spline.add_gradient(self.grid.degree, *self.located, one, 1.0, *self.differences, out[column])
+        return np.moveaxis(out, 0, 1).reshape(self.count, *values.shape[1:], dim)
 
-    def divergence(self, nodal: FloatArray) -> FloatArray:
-        """Return Σ_a D^a nodal_a: (local_nodes, *shape, d) to (n, *shape). Local; one pass a component."""
-        dim, shape = self.grid.dim, np.shape(nodal)[1:-1]
-        rows = columns_of(nodal).reshape(len(nodal), -1, dim)
-        out = np.zeros((rows.shape[1], self.count))
-        for column in range(rows.shape[1]):
-            along = np.ascontiguousarray(rows[:, column])
+    def divergence(self, nodal: npt.ArrayLike) -> FloatArray:
+        """Return Σ_a D^a nodal_a: (local_nodes, *shape, d), ghosts filled, to (n, *shape).
+
+        Local; one pass a component. Refuses as `g2p` does.
+        """
+        values, dim = self.nodal(nodal, last=self.grid.dim), self.grid.dim
+        shape = values.shape[1:-1]
+        vectors = columns_of(values).reshape(len(values), size_of(shape), dim)
+        out = np.zeros((vectors.shape[1], self.count))
+        for column in range(vectors.shape[1]):
+            along = np.ascontiguousarray(vectors[:, column])
             spline.add_divergence(self.grid.degree, *self.located, along, 1.0, *self.differences, out[column])
         return np.moveaxis(out, 0, 1).reshape(self.count, *shape)
 
@@ -147,7 +186,7 @@ class NodalMapping(ABC):
         """Return nodal means from nodal sums, diag(d)⁻¹ sums; 0 on nodes that no particle sees. Local."""
         self.phase("nodes")
         result = np.empty(sums.shape) if out is None else out
-        wide, into = (a if a.ndim == 2 else a.reshape(len(a), -1) for a in (sums, result))
+        wide, into = (a if a.ndim == 2 else a.reshape(len(a), size_of(a.shape[1:])) for a in (sums, result))
         generic.scale_rows(wide, self.inverse_row_sums, into)
         return result
 
@@ -160,8 +199,9 @@ class NodalMapping(ABC):
     def complete(self, sums: FloatArray) -> FloatArray:
         """Return nodal sums made right on own and ghost nodes, in place: one halo sum, one fill. Collective."""
         self.phase("halo")
-        self.grid.sum_halo(sums)
-        self.grid.fill_halo(sums)
+        if sums.size:
+            self.grid.nodes.add(sums)
+            self.grid.nodes.fill(sums)
         self.phase("nodes")
         return sums
 

@@ -16,9 +16,10 @@ from mpipic.arrays import FloatArray, IntArray
 from mpipic.kernels import generic
 from mpipic.mapping.base import NodalMapping
 from mpipic.mapping.gram import Gram
+from mpipic.mesh.agreement import together
 from mpipic.mesh.grid import Grid
 from mpipic.particles import migration
-from mpipic.particles.store import Particles, locate
+from mpipic.particles.store import Particles, check_inside, locate
 
 
 class ParticleSweep(NodalMapping):
@@ -79,7 +80,11 @@ class ParticleSweep(NodalMapping):
         self.remap()
 
     def remap(self) -> None:
-        """Map the particles where and as they are, after they were changed from outside. Collective."""
+        """Map the particles where and as they are, after they were changed from outside.
+
+        Raises ValueError on all ranks together if one is not in its rank's cells. Collective; one reduction to agree.
+        """
+        together(self.grid.comm, "remap", lambda: check_inside(self.particles, self.grid))
         self.version += 1
         self.peak = 0.0
         self.sort()

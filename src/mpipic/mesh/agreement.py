@@ -7,15 +7,22 @@ the ranks agree: each says what it was given, or why it refuses that, and the an
 from __future__ import annotations
 
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from mpi4py import MPI
 
+from mpipic.arguments import RealArray, told
+
 FACTS = 12
 """Room for the numbers that ranks compare: the verb, how many there are, and these."""
 NO_SAY = [-np.inf] * 2 * FACTS
+KINDS = [np.dtype(code) for code in "?bhilqBHILQefdg"]
+"""The types of real numbers; ranks compare their places in this list."""
+
+Found = TypeVar("Found")
 
 
 @dataclass(frozen=True)
@@ -72,26 +79,63 @@ def agree(comm: MPI.Comm, verb: str, said: Said | Exception) -> tuple[float, ...
     return tuple(common[2 : 2 + int(common[1])])
 
 
-def raise_together(comm: MPI.Comm, problem: Exception | None) -> None:
-    """Raise on all ranks the problem of the lowest rank that has one. Collective; one reduction."""
-    agree(comm, "the same", problem or Said())
+def together(
+    comm: MPI.Comm, verb: str, check: Callable[[], Found], say: Callable[[Found], Said] = lambda found: Said()
+) -> tuple[Found, tuple[float, ...]]:
+    """Return what `check` finds on this rank, and the facts that bind all, once no rank's check raises. Collective.
+
+    Errors of `check` are raised on all ranks; so are differences in what ranks `say` of their findings. See `agree`.
+    """
+    try:
+        found = check()
+        said = say(found)
+    except Exception as error:
+        agree(comm, verb, error)
+        raise
+    return found, agree(comm, verb, said)
+
+
+def values_together(comm: MPI.Comm, verb: str, check: Callable[[], RealArray], typed: bool = False) -> RealArray:
+    """Return the values (n, *shape) that `check` finds, whose shape all ranks agree on. Collective; see `agree`.
+
+    A rank without particles gets an empty array of the shape that the others have, and if `typed`, of their type, which
+    must then be the same too.
+    """
+
+    def say(values: RealArray) -> Said:
+        kind = float(KINDS.index(values.dtype)) if typed else 0.0
+        shape = ", ".join(["n", *map(str, values.shape[1:])]) + "," * (values.ndim == 1)
+        words = f"values of shape ({shape})" + (f" and type {values.dtype}" if typed else "")
+        return Said((kind, *values.shape[1:]), words, len(values) > 0)
+
+    values, (kind, *shape) = together(comm, verb, check, say)
+    if len(values):
+        return values
+    return np.empty((0, *map(int, shape)), KINDS[int(kind)] if typed else np.float64)
+
+
+def communicator(given: object) -> MPI.Intracomm:
+    """Return a communicator of mpi4py, or raise TypeError. Local: there is no other to agree over."""
+    if not isinstance(given, MPI.Intracomm) or given == MPI.COMM_NULL:
+        raise TypeError(f"comm must be a communicator of mpi4py, such as MPI.COMM_WORLD, not {told(given)}")
+    return given
 
 
 def _raise(comm: MPI.Comm, verb: str, said: Said | Exception) -> None:
     """Raise what is wrong, the same on all ranks. Collective."""
     if isinstance(said, Exception):
-        mine = ("", str(said), isinstance(said, TypeError))
+        mine = ("", str(_plain(said)), isinstance(said, TypeError))
     else:
         mine = (verb, said.words, said.binds)
-    told = comm.allgather(mine)
-    for rank, (name, text, is_type) in enumerate(told):
+    everybody = comm.allgather(mine)
+    for rank, (name, text, is_type) in enumerate(everybody):
         if not name:
             raise _named(rank, TypeError(text) if is_type else ValueError(text))
-    everyone = len({name for name, _, _ in told}) > 1
+    mixed = len({name for name, _, _ in everybody}) > 1
     calls = [
         (rank, f"{name} with {words}" if words else name)
-        for rank, (name, words, binds) in enumerate(told)
-        if binds or everyone
+        for rank, (name, words, binds) in enumerate(everybody)
+        if binds or mixed
     ]
     first, other = calls[0], next(call for call in calls if call[1] != calls[0][1])
     raise ValueError(
@@ -100,4 +144,12 @@ def _raise(comm: MPI.Comm, verb: str, said: Said | Exception) -> None:
 
 
 def _named(rank: int, problem: Exception) -> Exception:
-    return (TypeError if isinstance(problem, TypeError) else ValueError)(f"rank {rank}: {problem}")
+    plain = _plain(problem)
+    return type(plain)(f"rank {rank}: {plain}")
+
+
+def _plain(problem: Exception) -> TypeError | ValueError:
+    """Return the problem as one of the two kinds that the library raises for arguments."""
+    if isinstance(problem, TypeError):
+        return TypeError(str(problem))
+    return ValueError(str(problem) if isinstance(problem, ValueError) else f"{type(problem).__name__}: {problem}")

@@ -86,7 +86,7 @@ class CentralDifference(_Stencil):
         for axis in range(self.grid.dim):
             self._along(axis, values)
             self._store(out[:, axis])
-        self.grid.fill_halo(out)
+        self.grid.nodes.fill(out)
         return out
 
     def divergence(self, nodal: FloatArray) -> FloatArray:
@@ -95,7 +95,7 @@ class CentralDifference(_Stencil):
         block = self.grid.nodes.own(out)[..., 0]
         for axis, values in enumerate(self._load(nodal)):
             block += self._along(axis, values).reshape(block.shape)
-        self.grid.fill_halo(out)
+        self.grid.nodes.fill(out)
         return out
 
 
@@ -128,5 +128,5 @@ class LowPass(_Stencil):
             )
             self._result -= self.grid.nodes.own(nodal[:, column]).ravel()
             self._store(out[:, column])
-        self.grid.fill_halo(out)
+        self.grid.nodes.fill(out)
         return out

@@ -21,12 +21,12 @@ import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from mpipic.arguments import axes_of, choice, real_number, told, whole_number
+from mpipic.arguments import axes_of, choice, nodal_array, positions, real_number, told, whole_number
 from mpipic.arrays import FloatArray
 from mpipic.box import first_misplaced, wrap
 from mpipic.decomposition import process_grid
 from mpipic.keys import is_normal
-from mpipic.mesh.agreement import Said, agree
+from mpipic.mesh.agreement import Said, communicator, together, values_together
 from mpipic.mesh.basis import BASES
 from mpipic.mesh.halo import Halo, Nodes
 
@@ -92,9 +92,8 @@ class Grid:
         comm: MPI.Comm = MPI.COMM_WORLD,
         basis: str = "linear",
     ) -> None:
-        if not isinstance(comm, MPI.Intracomm) or comm == MPI.COMM_NULL:
-            raise TypeError(f"comm must be a communicator of mpi4py, such as MPI.COMM_WORLD, not {told(comm)}")
-        self.comm, self.rank, self.size = comm, comm.rank, comm.size
+        self.comm = communicator(comm)
+        self.rank, self.size = comm.rank, comm.size
         self.cells, self.length = self._agree(cells, length, basis)
         self.dim = len(self.cells)
         self.h = tuple(x / n for x, n in zip(self.length, self.cells, strict=True))
@@ -119,16 +118,16 @@ class Grid:
 
     def _agree(self, cells: Sequence[int], length: Sequence[float], basis: str) -> tuple[Cells, Lengths]:
         """Return cells and lengths, checked and the same on all ranks. Collective."""
-        said: Said | Exception
-        box: tuple[Cells, Lengths] = ((), ())
-        try:
-            box = checked_box(cells, length)
+
+        def check() -> tuple[Cells, Lengths]:
             choice("basis", basis, list(BASES))
-            said = Said((*box[0], *box[1], list(BASES).index(basis)), f"cells {box[0]}, length {box[1]}, {basis} basis")
-        except (TypeError, ValueError) as error:
-            said = error
-        agree(self.comm, "Grid", said)
-        return box
+            return checked_box(cells, length)
+
+        def say(box: tuple[Cells, Lengths]) -> Said:
+            words = f"cells {box[0]}, length {box[1]} and the {basis} basis"
+            return Said((*box[0], *box[1], list(BASES).index(basis)), words)
+
+        return together(self.comm, "Grid", check, say)[0]
 
     def _divide(self) -> list[npt.NDArray[np.int64]]:
         """First node of every block, per axis, as a DMDA divides the cells."""
@@ -145,20 +144,27 @@ class Grid:
 
     def owned(self, nodal: Nodes) -> Nodes:
         """Return a view of a nodal array's own nodes, owned_shape + (*shape,), axes in x, y, z order. Local."""
-        block = self.nodes.own(nodal)
+        block = self.nodes.own(nodal_array("nodal", nodal, self.local_nodes, self.owned_shape, in_place=False))
         axes = tuple(reversed(range(self.dim))) + tuple(range(self.dim, block.ndim))
         return block.transpose(axes)
 
     def sum_halo(self, nodal: FloatArray) -> None:
         """Add what ghost nodes hold into their owners, in place; ghosts keep their own share.
 
-        Collective; one message to each neighbouring rank.
+        `nodal` : (local_nodes, *shape), float64, C-contiguous, the same shape on all ranks; refused on all together.
+        Collective; one message to each neighbouring rank, and a reduction to agree.
         """
+        self._agree_in_place("Grid.sum_halo", nodal)
         self.nodes.add(nodal)
 
     def fill_halo(self, nodal: FloatArray) -> None:
-        """Copy the owners' values to their ghosts, in place. Collective; one message to each neighbouring rank."""
+        """Copy the owners' values to their ghosts, in place; arguments and costs as for `sum_halo`. Collective."""
+        self._agree_in_place("Grid.fill_halo", nodal)
         self.nodes.fill(nodal)
+
+    def _agree_in_place(self, verb: str, nodal: FloatArray) -> None:
+        nodes, own = self.local_nodes, self.owned_shape
+        values_together(self.comm, verb, lambda: nodal_array("nodal", nodal, nodes, own, in_place=True))
 
     def reduce(self, numbers: FloatArray, op: MPI.Op = MPI.SUM) -> FloatArray:
         """Combine numbers of all ranks, in place, and count it. Collective."""
@@ -187,11 +193,21 @@ class Grid:
 
     def cell_of(self, coordinate: FloatArray) -> npt.NDArray[np.int64]:
         """Return the global cell (n, d) of coordinates (n, d), by the arithmetic of the compiled loops. Local."""
-        return np.asarray((coordinate + np.array(self.tolerance)).astype(np.int64))
+        given = positions("coordinate", coordinate, self.dim)
+        with np.errstate(invalid="ignore"):  # what is not finite is in no cell
+            return np.asarray((given + np.array(self.tolerance)).astype(np.int64))
 
     def owner_of(self, coordinate: FloatArray) -> npt.NDArray[np.int64]:
-        """Return the rank (n,) that owns the cell of each coordinate (n, d). Local."""
+        """Return the rank (n,) that owns the cell of each coordinate (n, d), in cells, as `coordinate_of` gives them.
+
+        Raises ValueError naming the first that is not in the box. Local.
+        """
         cell = self.cell_of(coordinate)
+        outside = (cell < 0) | (cell >= np.array(self.cells))
+        if outside.any():
+            first = int(np.argmax(outside.any(axis=1)))
+            at = np.asarray(coordinate)[first].tolist()
+            raise ValueError(f"coordinate {first} = {at}, in cells, is not in the box of {self.cells} cells")
         owner = np.zeros(len(cell), dtype=np.int64)
         stride = 1
         for axis, starts in enumerate(self.starts):
@@ -202,7 +218,7 @@ class Grid:
     def coordinate_of(self, position: FloatArray) -> FloatArray:
         """Return coordinates (n, d) in cells, in the box, of positions (n, d) in length, any number of periods off.
 
-        Positions count as those that `in_box` makes of them. Local.
+        Positions count as those that `in_box` makes of them, or are refused by it. Local.
         """
         return self.wrapped(self.in_box(position) / np.array(self.h))
 
@@ -212,10 +228,11 @@ class Grid:
         Raises ValueError naming the first that is not finite, or so far away that its digits do not tell its cell.
         Local; O(n).
         """
-        problem = first_misplaced(position, self.h)
+        given = positions("position", position, self.dim)
+        problem = first_misplaced("position", given, self.h)
         if problem:
             raise ValueError(problem)
-        return wrap(position, self.length)
+        return wrap(given, self.length)
 
     def wrapped(self, coordinate: FloatArray) -> FloatArray:
         """Return coordinates (n, d) in the box and on its quantum: -tolerance <= x < cells - tolerance. Local.
@@ -258,3 +275,10 @@ def checked_box(cells: Sequence[int], length: Sequence[float]) -> tuple[Cells, L
     if not is_normal(*h, math.prod(h)):
         raise ValueError(f"length / cells is {h}, out of the range in which numbers have all their digits")
     return counts, lengths
+
+
+def checked_grid(given: object) -> Grid:
+    """Return a grid, or raise TypeError. Local: without one there are no ranks to agree with."""
+    if not isinstance(given, Grid):
+        raise TypeError(f"grid must be a Grid, not {told(given)}")
+    return given

@@ -30,7 +30,7 @@ class LostParticles(RuntimeError):
 class Delivery:
     """Rows that came (m, k), ordered by source; own rows in the order sent; counts per destination and per source."""
 
-    rows: FloatArray
+    rows: npt.NDArray[Any]
     order: IntArray
     outgoing: IntArray
     incoming: IntArray
@@ -85,7 +85,7 @@ class Routes:
         self._slot = np.full(grid.size, -1)
         self._slot[self.destinations] = np.arange(len(self.destinations))
 
-    def exchange(self, rows: FloatArray, owner: IntArray) -> Delivery:
+    def exchange(self, rows: npt.NDArray[Any], owner: IntArray) -> Delivery:
         """Send each row (n, k) to the rank that `owner` (n,) names.
 
         Collective on neighbours: one count and one block of rows to each destination. Raises LostParticles if an
@@ -101,7 +101,7 @@ class Routes:
         (self.comm.Alltoall if self.everywhere else self.comm.Neighbor_alltoall)(outgoing, incoming)
         return Delivery(self._send(rows[order], outgoing, incoming), order, outgoing, incoming)
 
-    def give_back(self, rows: FloatArray, delivery: Delivery) -> FloatArray:
+    def give_back(self, rows: npt.NDArray[Any], delivery: Delivery) -> npt.NDArray[Any]:
         """Rows (m, k), one for each row that `delivery` brought, returned to where those came from, in their order.
 
         Only on the graph of all ranks. Collective.
@@ -111,10 +111,13 @@ class Routes:
         ordered[delivery.order] = returned
         return ordered
 
-    def _send(self, rows: FloatArray, outgoing: IntArray, incoming: IntArray) -> FloatArray:
+    def _send(self, rows: npt.NDArray[Any], outgoing: IntArray, incoming: IntArray) -> npt.NDArray[Any]:
+        """Return the rows (m, k) that come, in the type of those sent, bit for bit."""
         rows = np.ascontiguousarray(rows)
-        received = np.empty((int(incoming.sum()), rows.shape[1]))
-        item = MPI.DOUBLE.Create_contiguous(rows.shape[1]).Commit()
+        received = np.empty((int(incoming.sum()), rows.shape[1]), rows.dtype)
+        if not rows.shape[1]:
+            return received
+        item = MPI.BYTE.Create_contiguous(rows.shape[1] * rows.itemsize).Commit()
         send = self.comm.Alltoallv if self.everywhere else self.comm.Neighbor_alltoallv
         try:
             send([rows, outgoing.astype(np.intc), item], [received, incoming.astype(np.intc), item])

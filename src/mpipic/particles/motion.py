@@ -7,11 +7,14 @@ import math
 import numpy as np
 from mpi4py import MPI
 
+from mpipic.arguments import positions, real_array
 from mpipic.arrays import FloatArray, IntArray
+from mpipic.box import first_misplaced
 from mpipic.kernels import blocks
+from mpipic.mesh.agreement import Said, together
 from mpipic.mesh.grid import Grid
 from mpipic.particles import migration
-from mpipic.particles.store import Particles
+from mpipic.particles.store import Particles, check_inside
 
 
 class Motion:
@@ -43,37 +46,52 @@ class Motion:
         """Move all particles by a displacement (d,), or each by its own (n, d), in units of length.
 
         Coordinates change by whole quanta of the grid (see `mpipic.mesh.grid`), by the same arithmetic on any rank.
-        Returns how many particles arrived on this rank; they are the last ones.
+        Returns how many particles arrived on this rank; they are the last ones. A rank without particles may give (0,).
 
         Raises
         ------
-        ValueError
-            A displacement is not finite; on all ranks together.
-        LostParticles
+        ValueError, TypeError
+            Displacements are of another shape or no numbers; one is not finite, or so large that its digits do not tell
+            a cell; the one displacement differs between ranks; particles are not in their rank's cells. On all ranks
+            together, and nothing has moved then.
 
         Notes
         -----
-        Collective. With a displacement for each, one reduction of 2 d numbers finds the reach; then a count and a block
-        of particles to each rank within it.
+        Collective. One reduction to agree; with a displacement for each, one of 2 d numbers more finds the reach; then
+        a count and a block of particles to each rank within it.
         """
-        in_cells = np.asarray(displacement, dtype=np.float64) / np.array(self.grid.h)
-        with np.errstate(invalid="ignore"):  # infinities become NaN, and are refused below
-            steps = self.grid.rounded(np.fmod(in_cells, np.array(self.grid.cells, dtype=np.float64)))
-        reach = self._reach_of(steps)
-        leaving = shift(self.particles, self.grid, steps)
-        return self._send(reach, leaving)
+        grid, n = self.grid, self.particles.count
+
+        def check() -> FloatArray:
+            steps = self._steps(displacement)
+            check_inside(self.particles, grid)
+            return steps
+
+        def say(steps: FloatArray) -> Said:
+            if steps.ndim == 1:
+                return Said((1.0, *steps), f"one displacement {steps.tolist()}, in cells", n > 0)
+            return Said((0.0,), "a displacement for each particle", n > 0)
+
+        steps, (for_all, *common) = together(grid.comm, "Motion.move", check, say)
+        if not n:  # the others say which
+            steps = np.array(common) if for_all else np.empty((0, grid.dim))
+        reach = migration.Reach.of_one(steps.tolist()) if for_all else self._reach_of(steps)
+        return self._send(reach, shift(self.particles, grid, steps))
+
+    def _steps(self, displacement: FloatArray) -> FloatArray:
+        """Return displacements (d,) or (n, d) in cells, less than a period, rounded to quanta. Local."""
+        grid, given = self.grid, real_array("displacement", displacement)
+        if given.shape != (grid.dim,):
+            given = positions("displacement", given, grid.dim, self.particles.count)
+        problem = first_misplaced("displacement", np.atleast_2d(given), grid.h)
+        if problem:
+            raise ValueError(problem)
+        return grid.rounded(np.fmod(given / np.array(grid.h), np.array(grid.cells, dtype=np.float64)))
 
     def _reach_of(self, steps: FloatArray) -> migration.Reach:
-        """Least and greatest steps of all ranks, out to whole cells where each particle has its own. Collective."""
-        if steps.ndim == 1:
-            if not np.isfinite(steps).all():
-                raise ValueError(f"displacement {steps.tolist()} is not finite")
-            return migration.Reach.of_one(steps.tolist())
-        far = np.where(np.isfinite(steps), steps, np.inf)
-        ends = np.concatenate([far.max(axis=0, initial=0.0), -far.min(axis=0, initial=0.0)])
+        """Least and greatest steps of all ranks, out to whole cells. Collective."""
+        ends = np.concatenate([steps.max(axis=0, initial=0.0), -steps.min(axis=0, initial=0.0)])
         ends = self.grid.reduce(ends, MPI.MAX)
-        if not np.isfinite(ends).all():
-            raise ValueError("a displacement is not finite")
         high, low = ends[: self.grid.dim], -ends[self.grid.dim :]
         return migration.Reach(tuple(map(math.floor, low)), tuple(map(math.ceil, high)))
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Any
 
-from mpipic.arrays import FloatArray, columns_of
-from mpipic.mesh.agreement import raise_together
-from mpipic.mesh.grid import Grid
+import numpy.typing as npt
+
+from mpipic.arguments import rows
+from mpipic.arrays import FloatArray, side_by_side
+from mpipic.mesh.agreement import together, values_together
+from mpipic.mesh.grid import Grid, checked_grid
 from mpipic.particles.migration import Routes
 
 
@@ -29,33 +32,50 @@ class Placement:
 
     Raises
     ------
-    ValueError
-        A position is not finite, or so far away that its digits do not tell its cell; names the first. Raised on all
-        ranks together.
+    ValueError, TypeError
+        Positions are no array (n, d) of real numbers; or one of them is not finite, or so far away that its digits do
+        not tell its cell: names the first. Raised on all ranks together.
 
     Notes
     -----
-    Collective, with messages to all ranks that hold particles of each other's cells.
+    Collective, with messages to all ranks that hold particles of each other's cells, and a reduction to agree.
     """
 
     def __init__(self, grid: Grid, position: FloatArray) -> None:
-        problem = None
-        try:
-            position = grid.in_box(np.asarray(position, dtype=np.float64).reshape(-1, grid.dim))
-        except ValueError as error:
-            problem = error
-        raise_together(grid.comm, problem)
+        self._comm = checked_grid(grid).comm
+        inside, _ = together(self._comm, "Placement", lambda: grid.in_box(position))
         self._routes = Routes(grid)
-        self._owner = grid.owner_of(grid.coordinate_of(position))
-        self._delivery = self._routes.exchange(position, self._owner)
+        self._owner = grid.owner_of(grid.coordinate_of(inside))
+        self._delivery = self._routes.exchange(inside, self._owner)
         self.position = self._delivery.rows
 
-    def to_owners(self, values: FloatArray) -> FloatArray:
-        """Return values (n, *shape) of this rank's block as (m, *shape) in the order of `position`. Collective."""
-        rows = self._routes.exchange(columns_of(values), self._owner).rows
-        return rows.reshape((-1, *np.shape(values)[1:]))
+    def to_owners(self, values: npt.ArrayLike) -> npt.NDArray[Any]:
+        """Return values (n, *shape) of this rank's block as (m, *shape) in the order of `position`.
 
-    def to_callers(self, values: FloatArray) -> FloatArray:
-        """Return values (m, *shape) in the order of `position` to where they came from, (n, *shape). Collective."""
-        rows = self._routes.give_back(columns_of(values), self._delivery)
-        return rows.reshape((-1, *np.shape(values)[1:]))
+        They come bit for bit, in the type that they have: whole numbers such as ids stay whole. Type and shape must be
+        those of the other ranks; a rank without particles may give (0,) whatever theirs are.
+
+        Raises
+        ------
+        ValueError, TypeError
+            On all ranks together.
+
+        Notes
+        -----
+        Collective: a block of values to each rank that owns some, and a reduction to agree.
+        """
+        own = self._agreed("Placement.to_owners", values, len(self._owner))
+        sent = self._routes.exchange(side_by_side(own), self._owner).rows
+        return sent.reshape(len(sent), *own.shape[1:])
+
+    def to_callers(self, values: npt.ArrayLike) -> npt.NDArray[Any]:
+        """Return values (m, *shape) in the order of `position` to where they came from, (n, *shape).
+
+        Rules, errors and costs are those of `to_owners`. Collective.
+        """
+        own = self._agreed("Placement.to_callers", values, len(self.position))
+        returned = self._routes.give_back(side_by_side(own), self._delivery)
+        return returned.reshape(len(returned), *own.shape[1:])
+
+    def _agreed(self, verb: str, values: npt.ArrayLike, count: int) -> npt.NDArray[Any]:
+        return values_together(self._comm, verb, lambda: rows("values", values, count), typed=True)

@@ -9,10 +9,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+import numpy.typing as npt
 
+from mpipic.arguments import real_array
 from mpipic.arrays import FloatArray, IntArray, Shape, size_of
-from mpipic.kernels import generic
+from mpipic.kernels import blocks, generic
 from mpipic.mesh.grid import Grid
+from mpipic.wording import listed
 
 
 class Particles:
@@ -92,12 +95,17 @@ class Particles:
         """Return the field of this name, (n, *shape), a view."""
         return self.columns_of_state(self.state, name)
 
-    def __setitem__(self, name: str, values: FloatArray | float) -> None:
-        """Give all particles these values of a field, (n, *shape) or what broadcasts to it."""
-        self[name][...] = values
+    def __setitem__(self, name: str, values: npt.ArrayLike) -> None:
+        """Give all particles these values of a field, (n, *shape), or one value to all, (*shape) or a number."""
+        given, field = real_array(f"values of {name}", values), self[name]
+        if given.shape not in (field.shape, field.shape[1:], ()):
+            raise ValueError(f"values of {name} must have shape {field.shape}, not {given.shape}")
+        field[...] = given
 
     def columns_of_state(self, state: FloatArray, name: str) -> FloatArray:
         """Return a field's columns of rows like those of `state`, (m, k), as (m, *shape), a view."""
+        if name not in self.shapes:
+            raise KeyError(f"particles have no field {name!r}, only {listed(self.shapes)}")
         return state[:, self._columns[name]].reshape(len(state), *self.shapes[name])
 
     def state_of(self, fields: Mapping[str, FloatArray], count: int) -> FloatArray:
@@ -120,6 +128,10 @@ class Particles:
     def append(self, coordinate: FloatArray, state: FloatArray, ids: IntArray) -> None:
         """Add particles after the present ones. Shapes (j, d), (j, k), (j,). Local; O(j), now and then O(n)."""
         added = len(ids)
+        wanted = (added, self.dim), (added, self._state.shape[1]), (added,)
+        if (coordinate.shape, state.shape, ids.shape) != wanted:
+            given = f"{coordinate.shape}, {state.shape} and {ids.shape}"
+            raise ValueError(f"coordinate, state and ids must have the shapes {listed(map(str, wanted))}, not {given}")
         self._reserve(self.count + added)
         span = slice(self.count, self.count + added)
         self._axes[:, span], self._state[span], self._ids[span, 0] = coordinate.T, state, ids
@@ -176,9 +188,24 @@ def locate(grid: Grid, coordinate: FloatArray) -> tuple[IntArray, FloatArray]:
         coordinate, np.array(grid.tolerance), np.array(grid.owned_start), np.array(grid.owned_shape), cell, fraction
     )
     if stray >= 0:
-        stop = tuple(s + n for s, n in zip(grid.owned_start, grid.owned_shape, strict=True))
-        raise ValueError(
-            f"particle {stray} at {(coordinate[stray] * np.array(grid.h)).tolist()}, in cells "
-            f"{coordinate[stray].tolist()}, is not in the cells {grid.owned_start} to {stop} of rank {grid.rank}"
-        )
+        raise _stray(grid, coordinate, stray)
     return cell, fraction
+
+
+def check_inside(particles: Particles, grid: Grid) -> None:
+    """Raise ValueError naming the first particle that is not in this rank's cells. Local; O(n)."""
+    outside = np.zeros(particles.count, dtype=np.int32)
+    for axis, (first, size) in enumerate(zip(grid.owned_start, grid.owned_shape, strict=True)):
+        x = particles.axes[axis, : particles.count]
+        blocks.mark_outside(x, grid.tolerance[axis], np.int32(first), np.int32(size), outside)
+    if outside.any():
+        raise _stray(grid, particles.coordinate, int(np.argmax(outside != 0)))
+
+
+def _stray(grid: Grid, coordinate: FloatArray, row: int) -> ValueError:
+    stop = tuple(s + n for s, n in zip(grid.owned_start, grid.owned_shape, strict=True))
+    return ValueError(
+        f"particle {row} at {(coordinate[row] * np.array(grid.h)).tolist()}, in cells {coordinate[row].tolist()}, is "
+        f"not in the cells {grid.owned_start} to {stop} of rank {grid.rank}; mpipic.Placement brings particles to the "
+        "ranks that own their cells"
+    )

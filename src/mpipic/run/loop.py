@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from time import perf_counter
@@ -11,13 +12,16 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from mpi4py import MPI
 
+from mpipic.arguments import told
 from mpipic.arrays import FloatArray, IntArray
+from mpipic.mesh.agreement import Said, communicator, together
 from mpipic.particles.migration import LostParticles
 from mpipic.phases import Phases
 from mpipic.physics.base import Physics
 from mpipic.run.build import begin, check_filter, physics_of, place
 from mpipic.run.diagnostics import ErrorReport, measure
 from mpipic.run.ranks import check_ranks
+from mpipic.run.state import agreed_state
 
 if TYPE_CHECKING:
     from mpipic.scene.records import Scene
@@ -76,6 +80,8 @@ class Simulation:
     ------
     SceneError
         What only shows when the scene is built: ranks that do not fit, a particle file that is not right.
+    ValueError
+        The scene is not the same on all ranks; on all together.
 
     Notes
     -----
@@ -90,8 +96,9 @@ class Simulation:
         physics: Physics | None = None,
         before_first_use: Callable[[], None] = lambda: None,
     ) -> None:
-        self.scene, self.comm = scene, comm
+        self.scene, self.comm = scene, communicator(comm)
         self.phases = phases or Phases()
+        together(comm, "Simulation", lambda: _digest(scene), lambda digest: Said([digest], f"scene {digest:.0f}"))
         self.phases("setup")
         check_ranks(scene, comm.size)
         self.physics = physics or physics_of(scene)
@@ -125,26 +132,31 @@ class Simulation:
         Parameters
         ----------
         coordinate : (n, d), in cells, in this rank's cells
-            Where particles are; default: where they are.
+            Where particles are, axes wrap; default: where they are.
         state : (n, k)
             Components of their fields in the order of `Particles.state`; default: the initial values of the physics,
             for new coordinates, else those that there are.
         ids : (n,)
-            With new coordinates, who they are.
+            With new coordinates, who they are: whole numbers.
+
+        Raises
+        ------
+        ValueError, TypeError
+            An argument is not as above, or ranks give different ones; on all ranks together, and nothing has changed.
 
         Notes
         -----
-        Collective: every rank gives its own. `step` counts on.
+        Collective: every rank gives its own, and they agree by one reduction. `step` counts on.
         """
         particles = self.particles
-        if coordinate is not None and ids is not None:
-            fresh = particles.state_of({}, len(ids)) if state is None else state
-            particles.replace(coordinate, fresh, ids)
-            if state is None:
+        places, values, names = agreed_state(self.grid, particles, coordinate, state, ids)
+        if places is not None and names is not None:
+            particles.replace(places, particles.state_of({}, len(names)) if values is None else values, names)
+            if values is None:
                 begin(particles, self.physics)
             self.total = int(self.comm.allreduce(particles.count))
-        elif state is not None:
-            particles.state[...] = state
+        elif values is not None:
+            particles.state[...] = values
         self.physics.restart()
 
     def close(self) -> None:
@@ -253,3 +265,10 @@ class Simulation:
             self.phases("output")
             observer.snapshot(self.step, self.time)
         self.phases("other")
+
+
+def _digest(scene: Scene) -> float:
+    """Return a number that tells scenes of different values apart."""
+    if not hasattr(scene, "values"):
+        raise TypeError(f"scene must be a Scene, such as Scene.load or Scene.from_dict makes, not {told(scene)}")
+    return float(zlib.crc32(repr(dict(scene.values)).encode()))

@@ -15,7 +15,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from mpipic import parts
-from mpipic.keys import ByScene, Key
+from mpipic.keys import ByScene, Key, plain
 from mpipic.parts import Part, Values
 from mpipic.scene.text import Problem, SceneError, Unused
 from mpipic.wording import closest, listed, show, show_key
@@ -108,7 +108,7 @@ class Draft:
         names = known[section]
         for name, value in table.items():
             if name in names:
-                self.given[f"{section}.{name}"] = _plain(value)
+                self.given[f"{section}.{name}"] = plain(value)
                 continue
             near = closest(name, names)
             suggestion = f"{section}.{near}" if near else _home(name, known)
@@ -236,14 +236,6 @@ def _siblings(owners: Iterable[type[Part]]) -> set[str]:
 def _home(name: object, known: Mapping[str, list[str]]) -> str | None:
     """Return the dotted key of this name in whatever section has one."""
     return next((f"{section}.{name}" for section, keys in known.items() if name in keys), None)
-
-
-def _plain(value: Any, depth: int = 3) -> Any:
-    """Return lists as tuples, down to a depth that no key has, and arrays and numbers of NumPy as Python's."""
-    value = value.tolist() if hasattr(value, "tolist") else value
-    if depth and isinstance(value, (list, tuple)):
-        return tuple(_plain(item, depth - 1) for item in value)
-    return value
 
 
 def _wrong(part: type[Part], given: Mapping[str, Any]) -> set[str]:

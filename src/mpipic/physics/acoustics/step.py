@@ -87,7 +87,7 @@ class AcousticStep(Rates):
         out = self.grid.zeros(1)
         block = self.grid.nodes.own(out)
         block[...] = own.reshape(block.shape)
-        self.grid.fill_halo(out)
+        self.grid.nodes.fill(out)
         return out
 
     # ------------------------------------------------------------ the step
