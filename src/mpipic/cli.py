@@ -103,23 +103,6 @@ def _load(
     return scene
 
 
-def _check_particle_file(scene: Scene, comm: MPI.Comm) -> None:
-    """Raise SceneError on all ranks for a particle file that a run would refuse."""
-    if scene.particle_count is not None:
-        return
-    from mpipic.io.particle_file import check_particle_file
-    from mpipic.run.build import physics_of
-    from mpipic.scene.records import Problem, SceneError
-
-    problems: list[str] = []
-    if comm.rank == 0:
-        fields = physics_of(scene).fields(scene.dim)
-        problems = check_particle_file(scene.particles.path, scene.grid.length, fields)
-    problems = comm.bcast(problems)
-    if problems:
-        raise SceneError([Problem("particles.path", None, text) for text in problems])
-
-
 def _refuse(text: str, comm: Rank, code: int = BAD_INPUT) -> typer.Exit:
     """Say what is wrong, once, and return what ends the verb."""
     from mpipic.console import Console
@@ -195,11 +178,11 @@ def check(
     with _stating(comm, solves=False):
         loaded = _load(scene, set_, comm, preset)
         from mpipic.console import Console
-        from mpipic.run.build import check_filter, solution_of
+        from mpipic.run.build import check_filter, check_particles, solution_of
         from mpipic.run.describe import describe
 
         solution_of(loaded)
-        _check_particle_file(loaded, comm)
+        check_particles(loaded, comm)
         check_filter(loaded, loaded.particle_count or 0, comm)
         Console(comm).banner(describe(loaded, comm))
 

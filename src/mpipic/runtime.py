@@ -8,6 +8,7 @@ import re
 import signal
 import sys
 import traceback
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING
@@ -18,6 +19,12 @@ if TYPE_CHECKING:
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 RANKS = ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "MV2_COMM_WORLD_RANK")
 ANNOUNCED = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "MV2_COMM_WORLD_SIZE")
+LAUNCHED = (
+    "OMPI_COMM_WORLD_", "OMPI_MCA_orte_", "OMPI_MCA_ess", "OMPI_MCA_pmix", "OMPI_MCA_initial_wdir", "OMPI_APP_CTX",
+    "OMPI_MCA_mpi_oversubscribe", "OMPI_UNIVERSE", "OMPI_NUM_APP", "OMPI_FIRST", "OMPI_FILE", "OMPI_COMMAND",
+    "OMPI_ARGV", "PMIX_", "PMI_", "PMI2_", "MV2_COMM_WORLD_", "MPI_LOCAL", "HYDI_",
+)  # fmt: skip
+"""How variables are called that launchers of Open MPI and MPICH leave; what starts with them passes for a rank."""
 STOP_SIGNALS = ("SIGINT", "SIGTERM", "SIGUSR1")
 BANNER = re.compile(r"^-{60,}\n(?:.*\n)*?-{60,}\n?", re.MULTILINE)
 """Matches what Open MPI says between two rules, such as that a rank has failed."""
@@ -108,6 +115,16 @@ def without_launcher(said: str) -> str:
     """Return what ranks said on standard error without what their launcher and the libraries below them added."""
     lines = BANNER.sub("", said).splitlines(keepends=True)
     return "".join(line for line in lines if not FOREIGN.match(line))
+
+
+def without_launcher_variables(variables: Mapping[str, str]) -> dict[str, str]:
+    """Return an environment for a process that is no rank: without what a launcher left there, if there was one."""
+    found = dict(variables)
+    if any(name in found for name in RANKS):
+        isolated = found.get("OMPI_MCA_ess_singleton_isolated")
+        found = {name: value for name, value in found.items() if not name.startswith(LAUNCHED)}
+        found |= {"OMPI_MCA_ess_singleton_isolated": isolated} if isolated else {}
+    return found
 
 
 class StopRequest:

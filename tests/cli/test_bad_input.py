@@ -76,9 +76,28 @@ SCENES: dict[str, tuple[list[str], list[str]]] = {
     ),
     "misspelt": (overrides("filter.kind=locl"), ['Did you mean "local"?']),
     "no-such-particles": (from_file("nothere.h5"), ["particles.path", "cannot be read: No such file or directory"]),
-    "particles-outside": (
-        from_file("outside.h5"),
-        ["particles.path: ", "position is outside [0, 1) on axis x in 1 row, first row 1: (1.5)"],
+    "particles-nowhere": (
+        from_file("nowhere.h5"),
+        ["particles.path: ", "nowhere.h5: position is not finite in 1 row, first row 1: (inf)"],
+    ),
+    "particles-misnamed": (
+        from_file("misnamed.h5", "initial.profile=file"),
+        [
+            "density is missing; the file has Density, position and vel. Did you mean",
+            "velocity is missing; the file has Density, position and vel. Did you mean",
+            'particles.records = ["velocity=vel"]',
+        ],
+    ),
+    "particles-of-no-series": (
+        from_file("particles.h5", "particles.species=e", "particles.iteration=3"),
+        ["particles.h5: is no openPMD file, and has no iteration or species to choose"],
+    ),
+    "particle-keys": (
+        from_file("particles.h5", 'particles.records=["density"]', 'particles.axes=["x","y"]'),
+        [
+            'particles.records = ["density"]: must be a list of texts "quantity=record"',
+            'particles.axes = ["x", "y"]: must hold as many different names as grid.cells has entries, 1',
+        ],
     ),
     "too-sharp-in-3d": (
         overrides("grid.cells=[4, 4, 4]", "initial.sharpness=1e6"),
@@ -89,18 +108,18 @@ SCENES: dict[str, tuple[list[str], list[str]]] = {
 # What shows only when the particles are read: not for `check`.
 RUNS: dict[str, tuple[list[str], list[str]]] = {
     "particles-of-another-dimension": (
-        from_file("particles.h5", "grid.cells=[8, 8]"),
+        from_file("particles.h5", "grid.cells=[8, 8]", "initial.profile=file"),
         ["position has shape (20, 1), expected (n, 2)", "velocity has shape (20, 1), expected (n, 2)"],
     ),
     "particles-wrong-in-many-ways": (
-        from_file("wrong.h5"),
+        from_file("wrong.h5", "initial.profile=file", 'particles.records=["velocity="]'),
         [
             "position is not finite in 1 row, first row 3: (nan)",
-            "position is outside [0, 1) on axis x in 2 rows, first row 5: (1.0)",
+            "position is so far away that its digits do not tell its cell in 2 rows, first row 5: (1e+300)",
             "density is not finite in 1 row, first row 19: inf",
         ],
     ),
-    "particles-not-hdf5": (from_file("malformed.toml"), ["cannot be read as HDF5"]),
+    "particles-not-hdf5": (from_file("malformed.toml"), ["malformed.toml: as HDF5, it cannot be read: "]),
     "output-taken": (
         ["--output", f"{HERE}/taken"],
         ["taken already holds summary.json, history.csv: name another folder, or ask to overwrite"],
@@ -119,11 +138,13 @@ def make_files(folder: Path) -> None:
     (taken / "history.csv").write_text("step\n")
     good = np.linspace(0.0, 0.95, 20)[:, None]
     wrong, density = good.copy(), np.zeros(20)
-    wrong[3], wrong[5], wrong[12], density[19] = np.nan, 1.0, -0.5, np.inf
+    wrong[3], wrong[5], wrong[12], density[19] = np.nan, 1e300, -1e200, np.inf
     with h5py.File(folder / "particles.h5", "w") as file:
         file["position"], file["velocity"] = good, np.zeros((20, 1))
-    with h5py.File(folder / "outside.h5", "w") as file:
-        file["position"] = [[0.5], [1.5]]
+    with h5py.File(folder / "nowhere.h5", "w") as file:
+        file["position"] = [[0.5], [np.inf]]
+    with h5py.File(folder / "misnamed.h5", "w") as file:
+        file["position"], file["Density"], file["vel"] = good, np.zeros(20), good
     with h5py.File(folder / "wrong.h5", "w") as file:
         file["position"], file["density"] = wrong, density
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import errno
 import os
+import signal
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,7 +17,8 @@ import numpy as np
 
 from mpipic.errors import OutputError
 from mpipic.io import shared_file, snapshots
-from mpipic.io.particle_file import ParticleFileError, read_particle_file
+from mpipic.io.apart import Apart
+from mpipic.io.particle_file import Box, ParticleFileError, Request, read_particle_file
 from mpipic.io.run_directory import RunDirectory
 from mpipic.io.shared_file import SharedFile
 from mpipic.io.snapshots import ParticleSeries
@@ -194,20 +196,47 @@ def case_sample(folder: Path) -> None:
 
 def case_read(folder: Path) -> None:
     """Rows are split without gaps; what is wrong on any rank is said on all, with the count of the whole file."""
-    fields = {"density": (), "velocity": (1,)}
-    mine = read_particle_file(folder / "good.h5", [1.0], fields, COMM)
+    fields, box = {"density": (), "velocity": (1,)}, Box([1.0], [0.01])
+    mine = read_particle_file(Request(str(folder / "good.h5"), 1, fields), box, COMM)
     assert set(mine.fields) == {"density"}
     assert np.array_equal(mine.fields["density"], mine.ids) and mine.fields["density"].dtype == np.float64
     assert np.array_equal(np.concatenate(COMM.allgather(mine.ids)), np.arange(7))
     assert abs(len(mine.ids) - 7 / COMM.size) < 1
-    for name, problem in (("bad.h5", "in 2 rows, first row 1: (1.5)"), ("none.h5", "no such file")):
-        try:
-            read_particle_file(folder / name, [1.0], fields, COMM)
-            said = []
-        except ParticleFileError as error:
-            said = error.problems
-        everywhere = COMM.allgather(said)
-        assert len(said) == 1 and problem in said[0] and everywhere == [said] * COMM.size, everywhere
+    wrapped = "2 of 7 positions lie outside the box [0, 1) and were wrapped; furthest x = -2.75"
+    said = read_particle_file(Request(str(folder / "outside.h5"), 1, {}), box, COMM).notes
+    assert COMM.allgather(list(said)) == [[f"{folder}/outside.h5: {wrapped}"]] * COMM.size, said
+    for name, problem in (
+        ("bad.h5", "in 2 rows, first row 1: (nan)"),
+        ("none.h5", "no such file"),
+        ("twice.h5", "id is repeated in 3 rows: 8 is in row 0 and in row 4"),
+    ):
+        said = refused(Request(str(folder / name), 1, {}), box)
+        assert len(said) == 1 and problem in said[0], said
+    with Lonely() as process:  # one rank's trouble is everybody's
+        said = refused(Request(str(folder / "good.h5"), 1, fields), box, process)
+    assert len(said) == 1 and "the file is damaged: reading it ended by SIGKILL" in said[0], said
+
+
+class Lonely(Apart):
+    """A process of its own that is killed on the last rank before it answers."""
+
+    def _start(self) -> bool:
+        started = super()._start()
+        if COMM.rank == COMM.size - 1:
+            os.kill(self._process.pid, signal.SIGKILL)
+        return started
+
+
+def refused(request: Request, box: Box, process: Apart | None = None) -> list[str]:
+    """What is wrong with a file, said alike on all ranks."""
+    try:
+        read_particle_file(request, box, COMM, process)
+        said = []
+    except ParticleFileError as error:
+        said = error.problems
+    everywhere = COMM.allgather(said)
+    assert everywhere == [said] * COMM.size, everywhere
+    return said
 
 
 if __name__ == "__main__":

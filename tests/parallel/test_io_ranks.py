@@ -33,9 +33,14 @@ def prepare(folder: Path) -> None:
     x = np.linspace(0.0, 0.9, 7)[:, None]
     with h5py.File(folder / "read" / "good.h5", "w") as file:
         file["position"], file["density"] = x, np.arange(7)
-    x[[1, 6]] = 1.5
+    x[[1, 6]] = 1.5, -2.75
+    with h5py.File(folder / "read" / "outside.h5", "w") as file:
+        file["position"] = x
+    x[[1, 6]] = np.nan
     with h5py.File(folder / "read" / "bad.h5", "w") as file:
         file["position"] = x
+    with h5py.File(folder / "read" / "twice.h5", "w") as file:
+        file["position"], file["id"] = np.zeros((7, 1)), [8, 1, 2, 9, 8, 8, 9]
 
 
 Ended = Callable[[int], tuple[Path, subprocess.CompletedProcess[str]]]

@@ -51,6 +51,10 @@ UNUSED = [
     (["particles.jitter=0.4"], 'particles.layout = "lattice" takes no jitter; jittered does'),
     (["particles.seed=3"], 'particles.layout = "lattice" takes no seed; jittered and random do'),
     (["particles.path=/x.h5"], 'particles.layout = "lattice" takes no path; file does'),
+    (['particles.records=["velocity=vel"]'], 'particles.layout = "lattice" takes no records; file does'),
+    (["particles.iteration=3"], 'particles.layout = "lattice" takes no iteration; file does'),
+    (["particles.species=e"], 'particles.layout = "lattice" takes no species; file does'),
+    (['particles.axes=["x"]'], 'particles.layout = "lattice" takes no axes; file does'),
     (
         ["initial.wave=[2]"],
         'initial.profile = "gaussian" takes no wave; plane-gaussian, plane-wave and standing-wave do',
@@ -85,7 +89,7 @@ UNUSED = [
 def test_a_key_that_nothing_uses_is_pointed_out_and_changes_nothing(overrides, why):
     scene = Scene.load(None, overrides)
     (unused,) = scene.unused
-    key, value = overrides[0].split("=")
+    key, value = overrides[0].split("=", 1)
     assert unused.key == key
     assert str(unused) in (f"{key} = {value} is not used: {why}", f'{key} = "{value}" is not used: {why}')
     assert scene == Scene.load(None, overrides[1:]) and not Scene.load(None, overrides[1:]).unused
@@ -149,6 +153,10 @@ BAD_VALUES = {
     "particles.jitter": ["-0.1", "nan", "inf", "true", "[1]", "x"],
     "particles.seed": ["-1", "1.0", "9223372036854775808", "true"],
     "particles.path": ["3", "[]"],
+    "particles.records": ["3", "[3]", "density=rho"],
+    "particles.iteration": ["-1", "1.0", "true", "last"],
+    "particles.species": ["3", "[]"],
+    "particles.axes": ["x", "[1]", "[[]]"],
     "gas.sound_speed": ["0", "-1", "inf", "nan", "false"],
     "gas.density": ["0", "-1.5", "inf", "{a = 1}", "1979-05-27", "1" + "0" * 400],
     "gas.flow": ["[inf]", "[nan]", "0.05", "[true]", "[]"],

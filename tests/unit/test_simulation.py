@@ -136,11 +136,11 @@ def test_a_file_gives_the_places_and_a_profile_the_density(tmp_path):
     assert reports.errors[0].errors["density"].linf == 0.0 and found[1].max() > 0.5
 
 
-def test_a_file_that_does_not_fit_the_box_is_a_mistake_of_the_scene(tmp_path):
+def test_a_file_that_cannot_be_used_is_a_mistake_of_the_scene(tmp_path):
     with h5py.File(tmp_path / "p.h5", "w") as file:
-        file["position"] = np.array([[0.2], [1.7]])
+        file["position"] = np.array([[0.2], [np.nan]])
     scene = scene_of(particles={"layout": "file", "path": str(tmp_path / "p.h5")})
-    with pytest.raises(SceneError, match=r"particles\.path.*1\.7"):
+    with pytest.raises(SceneError, match=r"particles\.path.*nan"):
         Simulation(scene, MPI.COMM_SELF)
 
 

@@ -10,10 +10,12 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from dense_helpers import GRIDS, Dense, close, few_cases, pattern
+from mpipic import memory
 from mpipic.filters import ExactFilter, SvdFilter
 from mpipic.filters import row_space as singular
-from mpipic.filters.row_space import RowSpace, TooLarge, available_bytes, bytes_needed, check_memory, describe
+from mpipic.filters.row_space import RowSpace, TooLarge, bytes_needed, check_memory, describe
 from mpipic.mapping.mapping import Mapping
+from mpipic.memory import available_bytes
 from serial_helpers import grid_of, values
 
 any_case = pytest.mark.parametrize(("weighted", "box", "name"), few_cases((False, True)))
@@ -150,8 +152,8 @@ def test_what_is_free_is_the_least_of_what_machine_and_control_group_leave(monke
             raise FileNotFoundError(path)
         return files[str(path)]
 
-    monkeypatch.setattr(singular.psutil, "virtual_memory", lambda: SimpleNamespace(available=5000 * 1024))
-    monkeypatch.setattr(singular.Path, "read_text", read_text)
+    monkeypatch.setattr(memory.psutil, "virtual_memory", lambda: SimpleNamespace(available=5000 * 1024))
+    monkeypatch.setattr(memory.Path, "read_text", read_text)
     assert available_bytes() == 5000 * 1024
     files["/sys/fs/cgroup/memory.max"], files["/sys/fs/cgroup/memory.current"] = "max\n", "70\n"
     assert available_bytes() == 5000 * 1024

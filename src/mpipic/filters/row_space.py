@@ -10,12 +10,9 @@ takes over. ``-filter_svd_type`` chooses another.
 
 from __future__ import annotations
 
-from contextlib import suppress
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import psutil
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -23,6 +20,7 @@ from mpipic.arrays import FloatArray
 from mpipic.errors import NotConverged
 from mpipic.filters.family import TooLarge
 from mpipic.kernels import spline
+from mpipic.memory import available_bytes
 from mpipic.mesh.petsc_options import Solver, configure, refusing
 
 if TYPE_CHECKING:
@@ -205,15 +203,6 @@ def check_memory(nodes: int, particles: int, comm: MPI.Comm) -> None:
             f"rank{'s' if comm.size > 1 else ''}, and {1e-9 * free:.3g} GB are free; "
             'filter.kind = "exact" is the same operator and takes memory in proportion to nodes'
         )
-
-
-def available_bytes() -> float:
-    """Return the memory that can be had without swapping and within the limit of this process's control group."""
-    limits = [float(psutil.virtual_memory().available)]
-    group = Path("/sys/fs/cgroup")
-    with suppress(OSError, ValueError):  # no such group, or "max"
-        limits.append(float((group / "memory.max").read_text()) - float((group / "memory.current").read_text()))
-    return min(limits)
 
 
 def describe(facts: dict[str, Any]) -> str:

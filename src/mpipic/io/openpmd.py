@@ -192,10 +192,10 @@ def _component() -> Attributes:
     return {"unitSI": np.float64(1.0)}
 
 
-def _component_name(index: tuple[int, ...], shape: tuple[int, ...], dim: int) -> str:
+def component_name(index: tuple[int, ...], shape: tuple[int, ...], axes: Sequence[str]) -> str:
     """Return the name of a component: axes for vectors and tensors of the space, x or xy, numbers otherwise."""
-    of_space = all(size == dim for size in shape)
-    return "".join(AXES[k] for k in index) if of_space else "_".join(str(k) for k in index)
+    of_space = all(size == len(axes) for size in shape)
+    return "".join(axes[k] for k in index) if of_space else "_".join(str(k) for k in index)
 
 
 def _split(values: Numbers, rows: int, dim: int) -> Iterator[tuple[str, Numbers]]:
@@ -203,7 +203,7 @@ def _split(values: Numbers, rows: int, dim: int) -> Iterator[tuple[str, Numbers]
     shape = values.shape[rows:]
     for index in np.ndindex(shape):
         component: tuple[EllipsisType | int, ...] = (..., *index)
-        yield f"/{_component_name(index, shape, dim)}" if shape else "", values[component]
+        yield f"/{component_name(index, shape, AXES[:dim])}" if shape else "", values[component]
 
 
 def _check(name: str, values: Numbers, shape: tuple[int, ...]) -> None:

@@ -1,193 +1,276 @@
-"""Read particles from an HDF5 file: `position` (n, d), and optionally values of their fields, (n, *shape) each.
+"""Read particles from a file: plain HDF5, or an openPMD species of any code, in slices, on any number of ranks.
 
-The number of a row is the global id of its particle. Files are read in pieces of at most `PIECE_BYTES` when checked,
-and every rank reads only its own rows.
+A plain file has `position` (n, d), and optionally fields (n, *shape) and `id` (n,) as data sets; without ids, the
+number of a row is the id of its particle. Every rank reads only its own rows, at most about `PIECE_BYTES` at a time, by
+a process of its own, see `mpipic.io.apart`: whatever the file holds, the answer is particles, or a `ParticleFileError`
+on all ranks.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+import platform
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import h5py
 import numpy as np
 
-from mpipic.arrays import FloatArray, IntArray, Shape, columns_of
+from mpipic.arrays import FloatArray, IntArray, Shape, size_of
+from mpipic.io.apart import Apart, Died
+from mpipic.io.columns import ParticleFileError, reading
+from mpipic.io.findings import (
+    Findings,
+    Outside,
+    count_outside,
+    find_broken,
+    merge,
+    merge_into,
+    repeated,
+    said_outside,
+    sentences,
+)
+from mpipic.io.selection import ID, POSITION, Request, Selection, select, table_of
+from mpipic.io.species import MARK, Series
+from mpipic.memory import available_bytes
+from mpipic.wording import escape
 
 if TYPE_CHECKING:
-    import h5py
     from mpi4py import MPI
 
+__all__ = ["Box", "ParticleFileError", "ParticleRows", "Request", "check_particle_file", "read_particle_file"]
+
 PIECE_BYTES = 32 << 20
+COPIES = 2
+"""How often a rank holds its particles while it takes them in."""
 
-# Rule broken -> (how often, first row, value there).
-Findings = dict[str, tuple[int, int, str]]
 
+@dataclass(frozen=True)
+class Box:
+    """Size of a periodic box and spacing of its nodes, d numbers each."""
 
-class ParticleFileError(ValueError):
-    """A particle file that cannot be used; `problems` lists all that is wrong. Raised on all ranks together."""
-
-    def __init__(self, problems: Sequence[str]) -> None:
-        super().__init__("; ".join(problems))
-        self.problems = list(problems)
+    length: Sequence[float]
+    h: Sequence[float]
 
 
 @dataclass(frozen=True)
 class ParticleRows:
-    """Rows of a particle file: ids (n,), which are the row numbers, positions (n, d), and the fields that it has."""
+    """Rows of a particle file: ids (n,), positions (n, d) as they are there, fields that it has, what is to be said."""
 
     ids: IntArray
     position: FloatArray
     fields: Mapping[str, FloatArray]
+    notes: Sequence[str] = ()
 
 
-def check_particle_file(path: Path | str, length: Sequence[float], fields: Mapping[str, Shape]) -> list[str]:
-    """Return everything that is wrong with a particle file, one sentence each; empty when it can be used.
+@dataclass(frozen=True)
+class Head:
+    """Holds what a file says before its numbers: rows, quantities given, what is wrong with it, what is to be said."""
 
-    Parameters
-    ----------
-    path : HDF5 file
-    length : size of the box, d numbers; positions must be in [0, length) on every axis
-    fields : name of a field that the file may have to the shape of one particle's value
+    rows: int
+    names: tuple[str, ...]
+    problems: Sequence[str]
+    notes: Sequence[str]
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Some rows of a file: the first, values by name, and ids where the file has some."""
+
+    start: int
+    values: Mapping[str, FloatArray]
+    ids: IntArray | None
+
+
+@dataclass
+class Part:
+    """Holds what one rank has read of a file."""
+
+    problems: list[str] = field(default_factory=list)
+    head: Head | None = None
+    start: int = 0
+    rows: dict[str, FloatArray] = field(default_factory=dict)
+    ids: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    found: Findings = field(default_factory=dict)
+    outside: Outside = field(default_factory=Outside)
+
+
+def check_particle_file(request: Request, box: Box, comm: MPI.Comm, process: Apart | None = None) -> list[str]:
+    """Read a file through and return what is to be said about it; parameters, errors as for `read_particle_file`.
 
     Notes
     -----
-    Local, meant for one rank. Reads the whole file, in pieces.
+    Collective. Keeps no more than the ids: reads a file that has no room in memory.
     """
-    return _inspect(path, length, fields)[0]
+    return list(_take(request, box, comm, process, keep=False).notes)
 
 
-def read_particle_file(
-    path: Path | str, length: Sequence[float], fields: Mapping[str, Shape], comm: MPI.Comm
-) -> ParticleRows:
+def read_particle_file(request: Request, box: Box, comm: MPI.Comm, process: Apart | None = None) -> ParticleRows:
     """Read this rank's block of rows: rows n·rank/size to n·(rank + 1)/size.
 
-    `path`, `length` and `fields` are those of `check_particle_file`.
+    Parameters
+    ----------
+    request
+        The file, and what of it is wanted.
+    box
+        Where positions shall lie. Axes wrap: they may be any number of periods off, see `mpipic.box`; how many are off
+        is said.
+    process
+        The process of its own that reads; None: one for this call.
 
     Raises
     ------
     ParticleFileError
-        On all ranks, with all problems of the whole file, as from `check_particle_file`.
+        On all ranks, with everything that is wrong with the whole file.
 
     Notes
     -----
-    Collective. Every row is read and checked once, by the rank that keeps it.
+    Collective. Every row is read and judged once, by the rank that keeps it.
     """
-    problems, found, rows = _inspect(path, length, fields, (comm.rank, comm.size))
-    everywhere = comm.allgather((problems, found))
-    named = list(dict.fromkeys(text for texts, _ in everywhere for text in texts))
-    named += _sentences(_merge(found for _, found in everywhere))
-    if named:
-        raise ParticleFileError(named)
-    return rows
+    return _take(request, box, comm, process, keep=True)
 
 
-def _inspect(
-    path: Path | str, length: Sequence[float], fields: Mapping[str, Shape], part: tuple[int, int] | None = None
-) -> tuple[list[str], Findings, ParticleRows]:
-    """Open, check and, given `part` = (rank, size), keep that rank's rows; else check all rows and keep none.
-
-    Findings of values stay apart for a part, to be merged over ranks; for the whole file they are among the problems.
-    """
-    import h5py
-
-    none = ParticleRows(np.empty(0, dtype=np.int64), np.empty((0, len(length))), {})
-    if not Path(path).is_file():
-        return [f"{path}: no such file"], {}, none
+def _take(request: Request, box: Box, comm: MPI.Comm, process: Apart | None, keep: bool) -> ParticleRows:
+    """Read, judge and, if wanted, keep this rank's rows; agree on what is wrong. Collective."""
+    room = _room(comm) if keep else float("inf")
+    own = process or Apart()
     try:
-        with h5py.File(path, "r") as file:
-            problems, sets = _structure(file, str(path), {"position": (len(length),), **fields})
-            if part is None:
-                found = _merge(_check_rows(name, data, 0, len(data), length) for name, data in sets.items())
-                return problems + _sentences(found), {}, none
-            if problems:
-                return problems, {}, none
-            start, stop = (len(sets["position"]) * rank // part[1] for rank in (part[0], part[0] + 1))
-            rows = {name: data[start:stop].astype(np.float64) for name, data in sets.items()}
-    except OSError as error:
-        return [f"{path}: cannot be read as HDF5: {error}"], {}, none
-    found = _merge(find_broken(name, values, start, length) for name, values in rows.items())
-    ids = np.arange(start, stop, dtype=np.int64)
-    return [], found, ParticleRows(ids, rows.pop("position"), rows)
+        part = _read(request, box, comm, own, room, keep)
+    finally:
+        if process is None:
+            own.close()
+    everywhere = comm.allgather((part.problems, part.found, part.outside))
+    path = escape(request.path)
+    problems = list(dict.fromkeys(text for texts, _, _ in everywhere for text in texts))
+    problems += sentences(path, merge(found for _, found, _ in everywhere))
+    if problems or part.head is None:
+        raise ParticleFileError(*problems)
+    twice = repeated(part.ids, part.start, comm) if ID in part.head.names else ""
+    if twice:
+        raise ParticleFileError(f'{path}: {twice}; particles.records = ["{ID}="] numbers them by row')
+    notes = [*part.head.notes, *said_outside(path, [one for _, _, one in everywhere], part.head.rows, box.length)]
+    position = part.rows.pop(POSITION)
+    return ParticleRows(part.ids, position, part.rows, notes)
 
 
-def _structure(file: h5py.File, path: str, shapes: Mapping[str, Shape]) -> tuple[list[str], dict[str, h5py.Dataset]]:
-    """Return problems of names, shapes and types, and the data sets whose values can be looked at."""
-    import h5py
-
-    problems: list[str] = []
-    sets: dict[str, h5py.Dataset] = {}
-    if "position" not in file:
-        problems.append(f"{path}: position is missing; expected a data set of shape (n, {shapes['position'][0]})")
-    n = None
-    for name, shape in shapes.items():
-        if name not in file:
-            continue
-        data = file[name]
-        if not isinstance(data, h5py.Dataset):
-            problems.append(f"{path}: {name} is a group, expected a data set")
-            continue
-        fits = data.ndim == 1 + len(shape) and data.shape[1:] == shape and n in (None, data.shape[0])
-        if not fits:
-            wanted = ", ".join(["n" if n is None else str(n), *map(str, shape)]) + ("" if shape else ",")
-            problems.append(f"{path}: {name} has shape {data.shape}, expected ({wanted})")
-        elif name == "position":
-            n = data.shape[0]
-        if data.dtype.kind not in "fiu":
-            problems.append(f"{path}: {name} has type {data.dtype}, expected real numbers")
-        elif fits:
-            sets[name] = data
-    if n == 0:
-        problems.append(f"{path}: position has no rows")
-    return problems, sets
+def _read(request: Request, box: Box, comm: MPI.Comm, process: Apart, room: float, keep: bool) -> Part:
+    """Read and judge this rank's rows; whatever is wrong is in the answer. Local."""
+    part = Part()
+    try:
+        for item in process.run(pieces, request, comm.rank, comm.size):
+            if isinstance(item, Head):
+                _begin(part, item, request, comm, room, keep)
+                continue
+            _add(part, item, box, keep)
+    except ParticleFileError as error:
+        part.problems += error.problems
+    except Died as error:
+        part.problems.append(f"{escape(request.path)} cannot be read, the file is damaged: reading it {error}")
+    except MemoryError:
+        part.problems.append(f"{escape(request.path)} cannot be read: there is no memory for it")
+    return part
 
 
-def _check_rows(name: str, data: h5py.Dataset, start: int, stop: int, length: Sequence[float]) -> Findings:
-    """Look at rows of a data set, read in pieces, and return what is found in them."""
-    row = data.dtype.itemsize * int(np.prod(data.shape[1:], dtype=np.int64))
-    step = max(1, PIECE_BYTES // max(row, 1))
-    pieces = ((at, data[at : min(at + step, stop)].astype(np.float64)) for at in range(start, stop, step))
-    return _merge(find_broken(name, values, at, length) for at, values in pieces)
+def _add(part: Part, piece: Piece, box: Box, keep: bool) -> None:
+    """Judge a piece and, if wanted, keep it."""
+    for name, values in piece.values.items():
+        merge_into(part.found, find_broken(name, values, piece.start, box.h))
+        span = slice(piece.start - part.start, piece.start - part.start + len(values))
+        if name == POSITION:
+            count_outside(part.outside, values, box.length)
+            if piece.ids is not None:
+                part.ids[span] = piece.ids
+        if keep:
+            part.rows[name][span] = values
 
 
-def find_broken(name: str, values: FloatArray, first_row: int, length: Sequence[float]) -> Findings:
-    """Return the rules that some rows break: values that are not finite, positions outside of the box. Local."""
-    table = columns_of(values)
-    finite = np.isfinite(table).all(axis=1)
-    rules = [(f"{name} is not finite", ~finite)]
-    if name == "position":
-        for axis, size in enumerate(length):
-            outside = finite & ~((table[:, axis] >= 0.0) & (table[:, axis] < size))
-            rules.append((f"position is outside [0, {size:g}) on axis {'xyz'[axis]}", outside))
-    found: Findings = {}
-    for rule, broken in rules:
-        where = np.flatnonzero(broken)
-        if where.size:
-            value = ", ".join(repr(float(number)) for number in table[where[0]])
-            found[rule] = (int(where.size), first_row + int(where[0]), f"({value})" if values.ndim > 1 else value)
-    return found
+def _begin(part: Part, head: Head, request: Request, comm: MPI.Comm, room: float, keep: bool) -> None:
+    """Take note of what a file says of itself, and make room for this rank's rows."""
+    part.head = head
+    part.problems += head.problems
+    part.start, stop = block(head.rows, comm.rank, comm.size)
+    count = 0 if head.problems else stop - part.start
+    shapes: dict[str, Shape] = {POSITION: (request.dim,), **request.fields}
+    needed = 8 * count * (1 + sum(size_of(shape) for shape in shapes.values())) * COPIES
+    if needed > room:
+        ranks = f"{comm.size} rank{'s' * (comm.size > 1)}"
+        sizes = f"about {1e-9 * needed * comm.size:.3g} GB, and {1e-9 * room * comm.size:.3g} GB are free"
+        raise ParticleFileError(f"{escape(request.path)}: {head.rows} particles need on {ranks} {sizes}")
+    names = head.names if keep else ()
+    part.rows = {name: np.empty((count, *shapes[name])) for name in (*names, POSITION) if name != ID}
+    part.ids = np.arange(part.start, part.start + count if keep or ID in head.names else part.start, dtype=np.int64)
 
 
-def _merge(findings: Iterable[Findings]) -> Findings:
-    """Return the findings of all, counts added, with the first row of each rule."""
-    merged: Findings = {}
-    for rule, (count, row, value) in _items(findings):
-        before = merged.get(rule)
-        if before is None:
-            merged[rule] = (count, row, value)
-        else:
-            merged[rule] = (before[0] + count, *min(before[1:], (row, value)))
-    return merged
+def block(rows: int, rank: int, size: int) -> tuple[int, int]:
+    """Return the first row of a rank, and the first one after its rows."""
+    return rows * rank // size, rows * (rank + 1) // size
 
 
-def _items(findings: Iterable[Findings]) -> Iterator[tuple[str, tuple[int, int, str]]]:
-    for found in findings:
-        yield from found.items()
+def _room(comm: MPI.Comm) -> float:
+    """Return the bytes that this rank can have: an equal share of what its machine has left. Collective."""
+    machines = comm.allgather(platform.node())
+    return available_bytes() / machines.count(machines[comm.rank] if len(machines) > comm.rank else machines[0])
 
 
-def _sentences(found: Findings) -> list[str]:
-    return [
-        f"{rule} in {count} row{'s' * (count > 1)}, first row {row}: {value}"
-        for rule, (count, row, value) in sorted(found.items())
-    ]
+# ---------------------------------------------------------------- what touches the file
+
+
+def pieces(request: Request, rank: int, size: int) -> Iterator[Head | Piece]:
+    """Yield the `Head` of a file and then, where it can be used, a rank's rows in pieces.
+
+    Raises ParticleFileError. Local.
+    """
+    with reading(escape(request.path)), opened(request) as (file, found):
+        selection = select(table_of(file, found), found)
+        names = tuple(selection.values)
+        yield Head(selection.rows, names, selection.problems, selection.notes)
+        if selection.problems:
+            return
+        start, stop = block(selection.rows, rank, size)
+        step = _step(selection)
+        while start < stop:
+            end = min(stop, (start // step + 1) * step)
+            values = {name: one.read(start, end) for name, one in selection.values.items() if name != ID}
+            ids = selection.values[ID].read_whole(start, end) if ID in selection.values else None
+            yield Piece(start, values, ids)
+            start = end
+
+
+def _step(selection: Selection) -> int:
+    """Return how many rows a piece has: as many as `PIECE_BYTES` hold, and whole chunks of the file's."""
+    row = sum(8 * size_of(values.shape) for values in selection.values.values())
+    columns = [column for values in selection.values.values() for column in (*values.columns, *values.offsets)]
+    chunks = [column.data.chunks[0] for column in columns if column.data is not None and column.data.chunks]
+    largest = max(chunks, default=1)
+    return int(max(1, PIECE_BYTES // row // largest) * largest)
+
+
+@contextmanager
+def opened(request: Request) -> Iterator[tuple[h5py.File, Request]]:
+    """Open the file of a request, or that of its series which has the iteration, and yield it with a request for it."""
+    with _opened(request.path) as file:
+        series = Series.of(file, escape(request.path)) if MARK in file.attrs else None
+        other = series.sibling(request.iteration) if series else None
+        if other is None:
+            yield file, request
+            return
+    with _opened(str(other)) as file:
+        yield file, replace(request, path=str(other))
+
+
+@contextmanager
+def _opened(path: str) -> Iterator[h5py.File]:
+    where = escape(path)
+    if not Path(path).exists():
+        raise ParticleFileError(f"{where}: no such file")
+    if not Path(path).is_file():
+        raise ParticleFileError(f"{where}: is no regular file")
+    with reading(f"{where}: as HDF5, it"):
+        file = h5py.File(path, "r")
+    try:
+        yield file
+    finally:
+        with reading(where):
+            file.close()

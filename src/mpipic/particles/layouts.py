@@ -10,7 +10,7 @@ import numpy as np
 
 from mpipic.arrays import FloatArray, IntArray
 from mpipic.draws import uniform
-from mpipic.keys import FROM_1, NOT_BELOW_0, ByScene, Count, CountOrZero, Keys, NotNegative, key
+from mpipic.keys import FROM_0, FROM_1, NOT_BELOW_0, ByScene, Count, CountOrZero, Keys, NotNegative, key
 from mpipic.parts import Broken, Choices, Part, Values, rule
 from mpipic.wording import show
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 PARTICLE_LIMIT = 2**53
 PER_AXIS = "a list of whole numbers, each 1 or above, one per axis, for example [2]"
+RECORDS = 'a list of texts "quantity=record", for example ["velocity=momentum"]'
 SEED = "a whole number from 0 to 2^63 - 1"
 
 
@@ -140,16 +141,46 @@ class Random(Layout):
 
 
 class FromFile(Layout):
-    """Particles of an HDF5 file: position (n, d), and optional fields."""
+    """Particles of an HDF5 file: position (n, d), and optional fields; or of a species of an openPMD file."""
 
     kind = "file"
-    about = "from an HDF5 file: position (n, d), and density (n,), velocity (n, d) if there are any"
+    about = "from a file: plain HDF5 or openPMD, see [docs/particle-files.md](particle-files.md)"
     brings_in = ("h5py",)
 
     class Settings(Keys):
         """Keys of the layout."""
 
         path: str = key("", "the name of a file", "HDF5 file, looked for from the scene's folder", is_file=True)
+        records: tuple[str, ...] = key(
+            (), RECORDS, "data sets or records of other names; after = nothing: none stands for it"
+        )
+        iteration: CountOrZero | None = key(
+            ByScene("the last", lambda v: None), FROM_0, "openPMD: which iteration of the file, or of its series"
+        )
+        species: str = key(ByScene("the only one", lambda v: ""), "a name", "openPMD: which particle species")
+        axes: tuple[str, ...] = key(
+            ByScene("those of position", lambda v: ()),
+            'a list of names, one per axis, for example ["x", "z"]',
+            "openPMD: components of vectors that stand for the axes of the grid",
+        )
+
+    @rule("particles.records")
+    @staticmethod
+    def records_are_pairs(v: Values) -> Broken | None:
+        """Every entry names a quantity, once."""
+        names = [entry.partition("=")[0].strip() for entry in v["particles.records"]]
+        if all(names) and len(set(names)) == len(names) and all("=" in entry for entry in v["particles.records"]):
+            return None
+        return "particles.records", f"must be {RECORDS}, each quantity once"
+
+    @rule("particles.axes", "grid.cells")
+    @staticmethod
+    def axes_are_those_of_the_grid(v: Values) -> Broken | None:
+        """There is a component for every axis, and for each its own."""
+        axes = v["particles.axes"]
+        if not axes or (len(axes) == v.dim == len(set(axes)) and all(axes)):
+            return None
+        return "particles.axes", f"must hold as many different names as grid.cells has entries, {v.dim}"
 
     @rule("particles.path")
     @staticmethod

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from mpi4py import MPI
 
 import mpipic.run.parts  # noqa: F401  all that scenes can name
-from mpipic.arrays import FloatArray, IntArray
+from mpipic.arrays import FloatArray, IntArray, Shape
+from mpipic.console import Console
 from mpipic.filters import FILTERS, Filter, NodalFilter, TooLarge
 from mpipic.mapping import sweeps
 from mpipic.mapping.base import NodalMapping
@@ -30,6 +32,7 @@ from mpipic.physics.base import Physics
 from mpipic.scene.records import Problem, Scene, SceneError
 
 if TYPE_CHECKING:
+    from mpipic.io.particle_file import Request
     from mpipic.physics.acoustics.step import AcousticStep
 
 Phase = Callable[[str], None]
@@ -111,14 +114,57 @@ def begin(particles: Particles, physics: Physics) -> None:
 
 
 def _read_particles(scene: Scene, grid: Grid, particles: Particles) -> tuple[IntArray, FloatArray, FloatArray]:
-    from mpipic.io.particle_file import ParticleFileError, read_particle_file
+    from mpipic.io.particle_file import Box, read_particle_file
+
+    with _of_the_scene():
+        rows = read_particle_file(_request(scene, particles.shapes), Box(grid.length, grid.h), grid.comm)
+    _say(rows.notes, grid.comm)
+    return rows.ids, grid.coordinate_of(rows.position), particles.state_of(rows.fields, len(rows.ids))
+
+
+def check_particles(scene: Scene, comm: MPI.Comm) -> None:
+    """Raise SceneError on all ranks for a particle file that a run would refuse; reads it through. Collective."""
+    if scene.particle_count is not None:
+        return
+    from mpipic.io.particle_file import Box, check_particle_file
+
+    with _of_the_scene():
+        request = _request(scene, dict(physics_of(scene).fields(scene.dim)))
+        _say(check_particle_file(request, Box(scene.grid.length, scene.h), comm), comm)
+
+
+def _say(notes: Sequence[str], comm: MPI.Comm) -> None:
+    for note in notes:
+        Console(comm).warning(note)
+
+
+@contextmanager
+def _of_the_scene() -> Iterator[None]:
+    """Make what is wrong with a particle file the mistake of a scene."""
+    from mpipic.io.particle_file import ParticleFileError
 
     try:
-        rows = read_particle_file(scene.particles.path, grid.length, particles.shapes, grid.comm)
+        yield
     except ParticleFileError as error:
         raise SceneError([Problem("particles.path", None, text) for text in error.problems]) from None
-    known = {} if scene.initial.profile in PROFILES else rows.fields
-    return rows.ids, grid.coordinate_of(rows.position), particles.state_of(known, len(rows.ids))
+
+
+def _request(scene: Scene, fields: dict[str, Shape]) -> Request:
+    """Return what the scene wants of its particle file: fields only where no profile gives them."""
+    from mpipic.io.particle_file import Request
+
+    settings = scene.settings("particles.layout")
+    pairs = [entry.partition("=") for entry in settings.pop("records")]
+    records = {name.strip(): record.strip() for name, _, record in pairs}
+    given = scene.initial.profile in PROFILES
+    giver = f'initial.profile = "{scene.initial.profile}" gives what "file" would take from there'
+    return Request(
+        dim=scene.dim,
+        fields={} if given else fields,
+        records=records,
+        elsewhere={name: giver for name in fields} if given else {},
+        **settings,
+    )
 
 
 def check_filter(scene: Scene, particles: int, comm: MPI.Comm, kind: str | None = None) -> None:

@@ -200,6 +200,8 @@ class Draft:
             if dotted in self.values:
                 continue
             owners = {part: part.keys()[name] for part in parts.registered() if (name := _name_in(part, dotted))}
+            if not owners:  # it chooses a part, of a physics that there is not
+                continue
             value, first = self.given[dotted], next(iter(owners.values()))
             if all(_wrong(part, {dotted.split(".")[1]: value}) for part in owners):
                 self.refuse(dotted, _rule(first, value))

@@ -26,7 +26,7 @@ import psutil
 
 from mpipic.files import Unreadable, json_object, read_text, write_text
 from mpipic.io.run_directory import SUMMARY
-from mpipic.runtime import RANKS, without_launcher
+from mpipic.runtime import without_launcher, without_launcher_variables
 from mpipic.study.journal import (
     COMPLETED,
     CRASHED,
@@ -46,12 +46,6 @@ STATUS_OF_CODE = {0: COMPLETED, 2: REFUSED, 3: UNSTABLE, 4: NOT_CONVERGED}
 SCENES = "scenes"
 LOOK, GRACE, KILLED = 0.02, 10.0, 1.0
 """Seconds between looks at a run, that it has to end when asked, and that what was killed may take to go."""
-# What Open MPI's and MPICH's launchers leave in their processes: a launcher among them would take itself for a rank.
-LAUNCHED = (
-    "OMPI_COMM_WORLD_", "OMPI_MCA_orte_", "OMPI_MCA_ess", "OMPI_MCA_pmix", "OMPI_MCA_initial_wdir", "OMPI_APP_CTX",
-    "OMPI_MCA_mpi_oversubscribe", "OMPI_UNIVERSE", "OMPI_NUM_APP", "OMPI_FIRST", "OMPI_FILE", "OMPI_COMMAND",
-    "OMPI_ARGV", "PMIX_", "PMI_", "PMI2_", "MV2_COMM_WORLD_", "MPI_LOCAL", "HYDI_",
-)  # fmt: skip
 
 
 def launcher() -> list[str] | None:
@@ -72,11 +66,7 @@ def command(ranks: int, *arguments: str) -> list[str]:
 
 def environment(ranks: int) -> dict[str, str]:
     """Return this process's environment for a launcher: nothing of one above it, many ranks and root allowed."""
-    found = dict(os.environ)
-    if any(name in found for name in RANKS):
-        isolated = found.get("OMPI_MCA_ess_singleton_isolated")
-        found = {name: value for name, value in found.items() if not name.startswith(LAUNCHED)}
-        found |= {"OMPI_MCA_ess_singleton_isolated": isolated} if isolated else {}
+    found = without_launcher_variables(os.environ)
     if os.geteuid() == 0:
         found |= {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
     if ranks > machine()["cores"]:
