@@ -244,10 +244,10 @@ class Console:
         from rich.table import Table
         from rich.text import Text
 
-        table = Table(title=title, box=SIMPLE_HEAD, title_justify="left", pad_edge=False)
+        table = Table(title=Text(title, "table.title"), box=SIMPLE_HEAD, title_justify="left", pad_edge=False)
         words = {"of", "phase", "phases", "filter", "scheme", "resolution"}
         for name in header:
-            table.add_column(name, justify="left" if name in words else "right", no_wrap=True)
+            table.add_column(Text(name), justify="left" if name in words else "right", no_wrap=True)
         for row in rows:
             table.add_row(*(Text(cell) for cell in row))
         with _reader_may_leave(self._loud):

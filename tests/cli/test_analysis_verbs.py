@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 
 import pytest
 
@@ -112,3 +113,30 @@ def test_a_run_above_the_cfl_limit_is_warned_before_and_told_after(tmp_path):
                        "--no-plots", "-o", tmp_path / "run")  # fmt: skip
     assert done.returncode == 3
     assert "is above 2.8" in done.stderr and "cause: the time step" in done.stdout
+
+
+GRIDS = ["1", "2", "3", "1,1", "1,2", "3,3", "1,1,1", "1,2,3"]
+
+
+@pytest.mark.parametrize("cells", GRIDS)
+def test_spectra_of_tiny_grids_come_out_or_are_refused(tmp_path, cells):
+    ones = ",".join("1" for _ in cells.split(","))
+    words = ["--set", f"grid.cells=[{cells}]", "--set", f"particles.per_cell=[{ones}]", "-o", tmp_path]
+    done = mpipic_here("spectrum", *words, "--no-plots", "--filters", "local,order:2,exact")
+    if {*cells} <= {*"1,"}:
+        assert done.returncode == 2 and "carries no wave" in done.stderr and not list(tmp_path.iterdir())
+    else:
+        assert done.returncode == 0 and "nan" not in (tmp_path / "spectrum.csv").read_text()
+
+
+def test_a_scene_of_any_name_runs_and_its_folder_has_a_safe_one(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names = ["$x_^{", "\udcff", "a\nb", "[x]", "...", "é" * 120, "-", " "]
+    for name in names:
+        (tmp_path / f"{name}.toml").write_text("[grid]\ncells = [4]\n[time]\nsteps = 1\n")
+        done = mpipic_here("run", "--no-plots", "--", f"{name}.toml")
+        assert done.returncode == 0 and "Traceback" not in done.stderr, (name, done.stderr)
+    folders = [path.name for path in (tmp_path / "runs").iterdir()]
+    assert len(folders) == len(names) and all(re.fullmatch(r"[\w.-]+", name) for name in folders), folders
+    done = mpipic_here("spectrum", "--filters", "local", "$x_^{.toml")
+    assert done.returncode == 0 and len(list((tmp_path / "runs").glob("*spectrum*/spectrum.png"))) == 1

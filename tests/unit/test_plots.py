@@ -16,7 +16,9 @@ from mpipic.plots.growth_map import Scale, draw_map
 from mpipic.plots.history import draw_error
 from mpipic.plots.sample import gather_sample
 from mpipic.plots.solution import draw_solution
-from mpipic.plots.style import Subject
+from mpipic.plots.spectra import Curve, draw_spectrum
+from mpipic.plots.style import LONGEST_LINE, Subject, picture
+from mpipic.plots.work_precision import Mark, draw_work_precision
 
 COMM = MPI.COMM_SELF
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -210,3 +212,43 @@ def test_a_map_of_growth_has_a_panel_a_filter_and_crosses_where_none_was_found(
     assert [list(line.get_xydata()[0]) for line in none.lines if len(line.get_xydata())] == [[0.3, 0.4]]
     assert np.all(local.collections[0].get_array() == 1e-9) and not len(local.lines[0].get_xydata())
     assert (none.get_title(), none.get_xlabel(), none.get_ylabel()) == ("none", "gas.flow", "time.cfl")
+
+
+# ---------------------------------------------------------------- names that users give
+
+NAMES = [
+    "$", "$x", "$$", r"$\frac{1", "a$b$c", r"_^{}\%#&~", r"\alpha", "{", "%s %d {0}", "日本語", "مرحبا", "😀", "a\nb",
+    "x" * 300, "[/x]", "\x1b[31mred", "\udcff", " ", "", "-", "<b>&amp;", "{{ 7 * 7 }}", "\t", "a\x00b",
+]  # fmt: skip
+
+
+def test_any_name_is_drawn_as_it_is_and_numbers_stay_powers(tmp_path: Path, figures: list[Any]) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with picture(tmp_path / "names.png", (6.0, 6.0)) as figure:
+            axes = figure.add_subplot(xscale="log", yscale="log", xlim=(1e-9, 1e9))
+            texts = [figure.text(0.1, 0.5, name) for name in NAMES]
+            axes.set_title("$")
+    for name, text in zip(NAMES, texts):
+        shown = text.get_text()
+        assert not text.get_parse_math() and len(shown) <= LONGEST_LINE
+        assert shown == name or len(name) > LONGEST_LINE or not name.isprintable()
+        assert all(line.isprintable() for line in shown.split("\n"))
+    numbers = axes.xaxis.get_majorticklabels()
+    assert all(number.get_parse_math() for number in numbers) and any("^{" in number.get_text() for number in numbers)
+
+
+def test_every_picture_takes_any_name(tmp_path: Path, figures: list[Any]) -> None:
+    name = "$_" + "y" * 300
+    who = Subject(name, name, (1.0,), (0.1,), symbols={"density": "$"})
+    shares = np.array([[1e-3, 1e-9], [1e-8, 1e-2]])
+    marks = [Mark(name + end, name, 1.0, (0.9, 1.1), 0.1, True) for end in ("", "_", "$")]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        draw_error(tmp_path / "0.png", [{"step": 1, "time": 1.0, "max_density": 1.0}], who)
+        draw_solution(tmp_path / "1.png", who, 0.25, 7, sample(1), exact)
+        draw_spectrum(tmp_path / "2.png", [Curve("x", name, (2.0, 4.0), (0.1, 0.2))], name)
+        draw_map(tmp_path / "3.png", *[Scale("a.b", np.array([1.0, 2.0]))] * 2, {"local": shares}, 1e-6, name)
+        draw_work_precision(tmp_path / "4.png", marks, name, "error", name)
+    assert len(figures) == 5
+    assert len(figures[4].legends[0].get_texts()) == 4, "a scheme with an underscore in front is in the legend too"

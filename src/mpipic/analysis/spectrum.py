@@ -23,6 +23,7 @@ from mpipic.files import write_csv
 from mpipic.mapping.mapping import Mapping
 from mpipic.mesh.grid import Grid
 from mpipic.run.build import check_filter, place
+from mpipic.scene.records import Problem, SceneError
 
 if TYPE_CHECKING:
     from mpipic.plots.spectra import Curve
@@ -73,7 +74,16 @@ def directions(cells: Sequence[int]) -> list[tuple[str, tuple[int, ...], list[in
 
 
 def measure(scene: Scene, choices: Sequence[Choice], comm: MPI.Comm, phase: float = PHASE) -> list[Kept]:
-    """Return every point of the spectra at the scene's initial positions; `phase` in radians. Collective."""
+    """Return every point of the spectra at the scene's initial positions; `phase` in radians. Collective.
+
+    Raises
+    ------
+    SceneError
+        The grid carries no wave along any axis.
+    """
+    if not directions(scene.grid.cells):
+        rule = "carries no wave, whose shortest takes two cells along an axis"
+        raise SceneError([Problem("grid.cells", list(scene.grid.cells), rule)])
     grid, particles = place(scene, comm)
     total = int(comm.allreduce(particles.count))
     mapping = Mapping.at(grid, particles)

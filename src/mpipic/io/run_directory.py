@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 SCENE, SUMMARY, HISTORY = "scene.toml", "summary.json", "history.csv"
 PARTICLES, ERROR_PLOT, SOLUTION_PLOT = "particles.h5", "error.png", "solution.png"
 PART = ".part"
+LONGEST_NAME = 150
+"""Bytes of a scene's name that a folder takes over; file systems allow 255 with the time."""
 RESULTS = (SUMMARY, HISTORY, PARTICLES, PARTICLES + PART)
 SCENE_HEADER = "# Every value of this run, resolved; run it again with: mpipic run scene.toml\n"
 
@@ -136,7 +138,8 @@ def _prepare(path: Path) -> str | None:
 
 def _claim(parent: Path, scene_name: str) -> Path | str:
     """Create a folder that did not exist before: two runs started in the same second get two folders."""
-    name = re.sub(r"[^\w.-]+", "-", scene_name).strip("-.") or "run"
+    short = scene_name.encode()[:LONGEST_NAME].decode(errors="ignore")
+    name = re.sub(r"[^\w.-]+", "-", short).strip("-.") or "run"
     stem = f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
     count = 1
     while True:

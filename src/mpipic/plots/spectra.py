@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from mpipic.plots.style import line_style, picture
+from mpipic.plots.style import in_legend, line_style, picture
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ def draw_spectrum(path: Path | str, curves: Sequence[Curve], title: str = "") ->
         for axes, name in zip(panels, names, strict=True):
             for curve in (curve for curve in curves if curve.direction == name):
                 style = line_style(filters.index(curve.filter))
-                axes.plot(curve.lengths, curve.kept, label=curve.filter, **style)
+                axes.plot(curve.lengths, curve.kept, label=in_legend(curve.filter), **style)
             axes.set_xscale("log", base=2)
             axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
             axes.set_xlabel("wave length in nodes, λ/h" + (" along every axis" if name == "diagonal" else ""))

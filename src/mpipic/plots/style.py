@@ -11,12 +11,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
+from warnings import catch_warnings, filterwarnings
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mpipic.arrays import FloatArray
 from mpipic.files import replacing
+from mpipic.wording import escape
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,6 +29,8 @@ COLOURS = (BLUE, ORANGE, "#009E73", PINK, "#E69F00", BLACK, "#56B4E9")
 DASHES, MARKERS = ("-", "--", "-.", ":"), "osv^Dx+"
 HUGE, TINY = 1e150, 1e-150
 DECADES = 16
+LONGEST_LINE, LONGEST_LABEL = 120, 40
+"""Characters of a line of text, and of a label in a legend."""
 STYLE = {
     "font.size": 10, "axes.grid": True, "grid.color": "#DDDDDD", "grid.linewidth": 0.6, "axes.axisbelow": True,
     "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False, "axes.titlesize": 10,
@@ -91,7 +95,10 @@ def line_style(number: int, markers: str = MARKERS, size: float = 3.5) -> LineSt
 
 @contextmanager
 def picture(path: Path | str, size: tuple[float, float]) -> Iterator[Figure]:
-    """Yield a figure without a window, saved as PNG in one piece when the block ends well; `size` in inches."""
+    """Yield a figure without a window, saved as PNG in one piece when the block ends well; `size` in inches.
+
+    Names that users give appear as they are: see `_write_as_it_is`.
+    """
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -100,13 +107,35 @@ def picture(path: Path | str, size: tuple[float, float]) -> Iterator[Figure]:
         figure = Figure(figsize=size)
         FigureCanvasAgg(figure)
         yield figure
-        with replacing(Path(path)) as temporary:
+        _write_as_it_is(figure)
+        with replacing(Path(path)) as temporary, catch_warnings():
+            filterwarnings("ignore", "Glyph .* missing from", UserWarning)  # a box stands for it
             figure.savefig(temporary, format="png", dpi=150)
 
 
-def verbatim(text: str) -> str:
-    """Return `text` so that matplotlib takes none of it for mathematics."""
-    return text.replace("$", r"\$")
+def _write_as_it_is(figure: Figure) -> None:
+    """Have no text taken for mathematics but the numbers along axes; cut and escape what cannot be drawn."""
+    from matplotlib.axis import Axis, Tick
+    from matplotlib.text import Text
+
+    numbers = {label for tick in figure.findobj(Tick) for label in (tick.label1, tick.label2)}
+    numbers |= {axis.offsetText for axis in figure.findobj(Axis)}
+    for text in figure.findobj(Text):
+        if text not in numbers:
+            text.set_parse_math(False)
+            text.set_text("\n".join(_without_middle(line, LONGEST_LINE) for line in text.get_text().split("\n")))
+
+
+def in_legend(label: str) -> str:
+    """Return a label that leaves a picture its place, and that a legend shows: none begins with an underscore."""
+    label = _without_middle(label, LONGEST_LABEL)
+    return f" {label}" if label.startswith("_") else label
+
+
+def _without_middle(line: str, longest: int) -> str:
+    """Return a line of text, cut in the middle if it is long, and with what does not print as escapes."""
+    line = escape(line)
+    return line if len(line) <= longest else f"{line[: longest // 2]}...{line[3 - longest // 2 :]}"
 
 
 def short(value: float) -> str:

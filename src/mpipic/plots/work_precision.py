@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mpipic.plots.style import LineStyle, line_style, picture, verbatim
+from mpipic.plots.style import LineStyle, in_legend, line_style, picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,14 +53,14 @@ def draw_work_precision(path: Path | str, marks: Sequence[Mark], title: str, err
     """
     with picture(path, (9.6, 5.4)) as figure:
         axes = figure.add_subplot(xscale="log", yscale="log", ylabel=error)
-        axes.set_title(verbatim(title), pad=14)
+        axes.set_title(title, pad=14)
         axes.set_xlabel("seconds of stepping" + (f"\n{note}" if note else ""))
         front = sorted((mark.seconds, mark.error) for mark in marks if mark.on_front and mark.error)
         if front:
             _draw_front(axes, front)
         for number, scheme in enumerate(dict.fromkeys(mark.scheme for mark in marks)):
             style = line_style(number, MARKERS, 6.0)
-            axes.plot([], [], label=verbatim(scheme), **style)
+            axes.plot([], [], label=in_legend(scheme), **style)
             _draw_scheme(axes, [mark for mark in marks if mark.scheme == scheme], style)
         if any(not mark.error for mark in marks):
             axes.plot([], [], label="unstable, at the time\nthat all steps would take", mec="white", **CROSS)

@@ -119,7 +119,7 @@ class Scene:
         problems: list[Problem] = []
         merged = with_absolute_paths(apply_overrides(data, overrides, problems), Path())
         values, unused = check(merged, problems)
-        return cls(Values(values), name, tuple(unused))
+        return cls(Values(values), escape(name), tuple(unused))
 
     def having(self, **sections: Mapping[str, Any]) -> Scene:
         """Return the scene with other values of keys that it has, which are not checked."""

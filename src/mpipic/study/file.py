@@ -78,7 +78,7 @@ class Study:
     @property
     def title(self) -> str:
         """The study's `title`, else the name of its file."""
-        return self.settings.title or self.name
+        return escape(self.settings.title) or self.name
 
 
 def load(path: Path) -> Study:
@@ -105,7 +105,7 @@ def load(path: Path) -> Study:
         points = expand(scene_data, base, axes, settings.until, problems)
     if problems:
         raise SceneError(problems)
-    return Study(path.stem, source, settings, tuple(axes), tuple(points))
+    return Study(escape(path.stem), source, settings, tuple(axes), tuple(points))
 
 
 def _read(path: Path) -> str:

@@ -60,7 +60,7 @@ def run(
     """
     wanted = parse_aims(aims)
     study = _load(path, console)
-    folder = output or Path("runs") / study.name
+    folder = output or Path("runs") / (study.name.strip(".") or "study")
     journal = _open(folder, fresh)
     try:
         journal.forget(study.points, study.settings.timeout, FAILED if retry else ())
