@@ -19,11 +19,11 @@ from mpipic import filters
 from mpipic.analysis.filter_choice import Choice
 from mpipic.arrays import FloatArray
 from mpipic.console import Console
+from mpipic.errors import Refused
 from mpipic.files import write_csv
 from mpipic.mapping.mapping import Mapping
 from mpipic.mesh.grid import Grid
 from mpipic.run.build import check_filter, place
-from mpipic.scene.records import Problem, SceneError
 
 if TYPE_CHECKING:
     from mpipic.plots.spectra import Curve
@@ -78,12 +78,12 @@ def measure(scene: Scene, choices: Sequence[Choice], comm: MPI.Comm, phase: floa
 
     Raises
     ------
-    SceneError
+    Refused
         The grid carries no wave along any axis.
     """
     if not directions(scene.grid.cells):
         rule = "carries no wave, whose shortest takes two cells along an axis"
-        raise SceneError([Problem("grid.cells", list(scene.grid.cells), rule)])
+        raise Refused(f"grid.cells = {list(scene.grid.cells)}: {rule}")
     grid, particles = place(scene, comm)
     total = int(comm.allreduce(particles.count))
     mapping = Mapping.at(grid, particles)
