@@ -14,7 +14,7 @@ from mpipic.parts import GRAM_SOLVER, SOLVED_FILTER, Values
 
 if TYPE_CHECKING:
     from mpipic.mapping.base import NodalMapping
-    from mpipic.mapping.solver import GramSolver
+    from mpipic.mapping.projection import Projection
 
 
 class ExactFilter(NodalFilter):
@@ -85,11 +85,11 @@ class ExactFilter(NodalFilter):
         self.iterations = 0
 
     @cached_property
-    def solver(self) -> GramSolver:
-        """The Gram solver, made when first used."""
-        from mpipic.mapping.solver import GramSolver
+    def solver(self) -> Projection:
+        """What solves, made when first used."""
+        from mpipic.mapping.projection import Projection
 
-        return GramSolver(self.mapping, self.tolerance, self.prefix)
+        return Projection(self.mapping, self.tolerance, self.prefix)
 
     def coefficients(
         self, sums: FloatArray, out: FloatArray | None = None, series: Hashable | None = None

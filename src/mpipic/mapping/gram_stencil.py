@@ -146,9 +146,8 @@ class GramStencil:
         Collective; two halo exchanges.
         """
         self.refresh()
-        nodes, columns = self.grid.nodes, nodal.shape[1]
-        own = np.moveaxis(nodes.own(nodal), -1, 0).reshape(columns, -1)
-        product = self._product(own * self.root)
+        nodes = self.grid.nodes
+        product = self._product(nodes.columns(nodal) * self.root)
         block = nodes.own(out)
         scaled = product * self.root.reshape(product.shape[1:])
         block[...] = np.moveaxis(scaled, 0, -1)
@@ -187,6 +186,16 @@ class GramStencil:
             sums[place] = halo.own(entries).sum()
         self.grid.reduce(sums)
         return np.asarray(sums[1:] / (sums[0] or 1.0)).reshape(self.grid.dim, self.reach)
+
+    def assembled(self, sparse: bool = False) -> PETSc.Mat:
+        """Return a new matrix of one column's G; if `sparse`, without the entries that are 0 now. Collective."""
+        own, row = self.root.size, 2 * len(self.offsets) - 1
+        matrix = PETSc.Mat().createAIJ(((own, None), (own, None)), nnz=row, comm=self.grid.comm)
+        matrix.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
+        matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        matrix.setOption(PETSc.Mat.Option.IGNORE_ZERO_ENTRIES, sparse)
+        self.assemble(matrix)
+        return matrix
 
     def assemble(self, matrix: PETSc.Mat) -> None:
         """Put the entries of one column's G into an assembled matrix. Collective."""

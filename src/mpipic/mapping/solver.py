@@ -61,6 +61,12 @@ class _System(NamedTuple):
     matrix: PETSc.Mat
     x: PETSc.Vec
     b: PETSc.Vec
+    tolerance: float
+
+    def destroy(self) -> None:
+        """Give the objects back. Collective."""
+        for item in (self.ksp, self.matrix, self.x, self.b):
+            item.destroy()
 
 
 class GramSolver:
@@ -82,11 +88,16 @@ class GramSolver:
         Of the options.
     penalty
         Solve with G and this penalty instead.
+    most_iterations : int, optional
+        Default: PETSc's 10 000.
 
     Attributes
     ----------
     iterations : int
         Of the last solve.
+    smallest : float
+        Smallest Ritz value of B G in the last solve, above its smallest eigenvalue λ, and near it where that one held
+        up convergence: what the tolerance is on, divided by λ^½, is the error that Φ a may have.
 
     Notes
     -----
@@ -95,13 +106,19 @@ class GramSolver:
     """
 
     def __init__(
-        self, mapping: NodalMapping, tolerance: float, prefix: str = "filter_", penalty: Penalty | None = None
+        self,
+        mapping: NodalMapping,
+        tolerance: float,
+        prefix: str = "filter_",
+        penalty: Penalty | None = None,
+        most_iterations: int | None = None,
     ) -> None:
         self.matrix = GramStencil(mapping, penalty) if penalty else mapping.gram.stencil
         self.mapping = mapping  # which a stencil that all share does not keep alive
         self.preconditioner = self.matrix.preconditioner
         self._version = -1
-        self.tolerance, self.prefix, self.iterations = tolerance, prefix, 0
+        self.tolerance, self.prefix, self.most_iterations = tolerance, prefix, most_iterations
+        self.iterations, self.smallest = 0, np.inf
         self._earlier: dict[Hashable, Series] = {}
         self._systems: dict[int, _System] = {}
         self._entries = PETSc.Options(prefix).getString("pc_type", "python") not in ENTRIES_NOT_NEEDED
@@ -110,8 +127,7 @@ class GramSolver:
     def close(self) -> None:
         """Give PETSc's objects back; no `solve` after this. Collective."""
         for system in self._systems.values():
-            for item in system:
-                item.destroy()
+            system.destroy()
 
     def forget(self) -> None:
         """Begin every series anew. Local."""
@@ -120,29 +136,25 @@ class GramSolver:
     def system(self, columns: int) -> _System:
         """PETSc's objects for so many columns, made when first asked for. Collective."""
         if columns not in self._systems:
-            matrix = self._assembled_matrix() if self._entries else self._shell(columns)
+            matrix = self.matrix.assembled() if self._entries else self._shell(columns)
             ksp = PETSc.KSP().create(matrix.getComm())
             ksp.setOptionsPrefix(self.prefix)
             ksp.setType(PETSc.KSP.Type.CG)
             ksp.setNormType(PETSc.KSP.NormType.NATURAL)
-            ksp.setTolerances(rtol=self.tolerance / np.sqrt(columns), atol=0.0, divtol=1e100)
+            ksp.setTolerances(rtol=self.tolerance / np.sqrt(columns), atol=0.0, divtol=1e100, max_it=self.most_iterations)
+            ksp.setComputeSingularValues(True)
             pc = ksp.getPC()
             pc.setType(PETSc.PC.Type.PYTHON)
             pc.setPythonContext(self.preconditioner)
             ksp.setOperators(matrix)
             configure(ksp, matrix)
-            self._systems[columns] = _System(ksp, matrix, *matrix.createVecs())
+            self._systems[columns] = _System(ksp, matrix, *matrix.createVecs(), ksp.getTolerances()[0])
         return self._systems[columns]
 
     def _shell(self, columns: int) -> PETSc.Mat:
         own = columns * self.matrix.root.size
-        return PETSc.Mat().createPython(((own, None), (own, None)), self.matrix, comm=self.matrix.grid.comm)
-
-    def _assembled_matrix(self) -> PETSc.Mat:
-        own, row = self.matrix.root.size, 2 * len(self.matrix.offsets) - 1
-        matrix = PETSc.Mat().createAIJ(((own, None), (own, None)), nnz=row, comm=self.matrix.grid.comm)
-        matrix.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
-        matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        matrix = PETSc.Mat().createPython(((own, None), (own, None)), self.matrix, comm=self.matrix.grid.comm)
+        matrix.assemble()
         return matrix
 
     @property
@@ -154,14 +166,18 @@ class GramSolver:
         return own + self.preconditioner.nbytes + series + vectors
 
     def solve(
-        self, sums: FloatArray, series: Hashable | None = None, quantities: Sequence[int] | None = None
+        self,
+        sums: FloatArray,
+        series: Hashable | None = None,
+        quantities: Sequence[int] | None = None,
+        sharper: float = 1.0,
     ) -> FloatArray:
         """G⁺ sums, right on own and ghost nodes: (local_nodes,) or (local_nodes, k) to the same.
 
         Calls with the same `series`, which is not None, are the same at equally spaced times: the first guess is
         extrapolated from the earlier answers. `quantities` are the numbers of columns that make up a quantity, one
-        after the other: the tolerance is relative to its norm; by default each column is one. Columns that are not
-        finite give NaN, and leave others alone.
+        after the other: the tolerance, times `sharper`, is relative to its norm; by default each column is one. Columns
+        that are not finite give NaN, and leave others alone.
 
         Raises
         ------
@@ -174,21 +190,16 @@ class GramSolver:
             self.preconditioner.refresh()
             for system in self._systems.values():
                 self._follow(system)
-        wide = sums.reshape(len(sums), -1)
-        columns = wide.shape[1]
-        right = np.moveaxis(nodes.own(wide), -1, 0).reshape(columns, -1) * matrix.scale
+        right = nodes.columns(sums) * matrix.scale
+        columns = len(right)
         names = [None if series is None else (series, column) for column in range(columns)]
+        self.iterations, self.smallest = 0, np.inf
         if self._entries and columns > 1:
-            parts = [self._solve(right[c : c + 1], names[c : c + 1], (1,)) for c in range(columns)]
-            answer, iterations = np.concatenate([part for part, _ in parts]), max(its for _, its in parts)
+            parts = [self._solve(right[c : c + 1], names[c : c + 1], (1,), sharper) for c in range(columns)]
+            answer = np.concatenate(parts)
         else:
-            answer, iterations = self._solve(right, names, quantities or (1,) * columns)
-        self.iterations = iterations
-        out = np.zeros((nodes.local_nodes, columns))
-        own = nodes.own(out)
-        own[...] = np.moveaxis(answer.reshape(columns, *own.shape[:-1]), 0, -1)
-        nodes.fill(out)
-        return out.reshape(sums.shape)
+            answer = self._solve(right, names, quantities or (1,) * columns, sharper)
+        return nodes.nodal(answer).reshape(sums.shape)
 
     def _follow(self, system: _System) -> None:
         if self._entries:
@@ -197,14 +208,11 @@ class GramSolver:
             system.matrix.assemble()
 
     def _solve(
-        self, right: FloatArray, series: Sequence[Hashable | None], quantities: Sequence[int]
-    ) -> tuple[FloatArray, int]:
-        """Unscaled answers (k, own nodes) to scaled right-hand sides, and the number of iterations."""
-        matrix, columns = self.matrix, len(right)
-        new = columns not in self._systems
-        system = self.system(columns)
-        if new:
-            self._follow(system)
+        self, right: FloatArray, series: Sequence[Hashable | None], quantities: Sequence[int], sharper: float
+    ) -> FloatArray:
+        """Unscaled answers (k, own nodes) to scaled right-hand sides."""
+        matrix, system = self.matrix, self.system(len(right))
+        system.ksp.setTolerances(rtol=system.tolerance * sharper)
         sizes = matrix.grid.sizes_of(right)
         finite = np.isfinite(sizes)
         right[~finite], sizes[~finite] = 0.0, 1.0
@@ -226,7 +234,7 @@ class GramSolver:
             # a guess far off, on a matrix near singular, leaves rounding of its own size behind
             system.ksp.setInitialGuessNonzero(False)
             solve(system.ksp, system.b, system.x)
-        self._check(system.ksp)
+        self._note(system.ksp)
         answer = system.x.getArray(readonly=True).reshape(right.shape) * matrix.scale
         answer /= weights[:, None]
         answer *= sizes[:, None]
@@ -234,7 +242,7 @@ class GramSolver:
             if known is not None:
                 known.append(row)
         answer[~finite] = np.nan
-        return answer, int(system.ksp.getIterationNumber())
+        return answer
 
     def _balance(self, right: FloatArray, quantities: Sequence[int]) -> FloatArray:
         """Powers of two that bring quantities of size 1 to norm 1, so that all weigh alike, by column. Collective."""
@@ -265,7 +273,12 @@ class GramSolver:
                 guessed = guessed or (known is not None and known.count > 0)
         return guessed
 
-    def _check(self, ksp: PETSc.KSP) -> None:
+    def _note(self, ksp: PETSc.KSP) -> None:
+        """Keep what a solve found out, or raise NotConverged."""
+        self.iterations = max(self.iterations, int(ksp.getIterationNumber()))
+        largest, smallest = ksp.computeExtremeSingularValues()
+        if largest > 0.0:  # not without an iteration, nor by every method
+            self.smallest = min(self.smallest, float(smallest))
         if ksp.getConvergedReason() < 0:
             reasons = {
                 value: name for name, value in vars(PETSc.KSP.ConvergedReason).items() if name.startswith("DIVERGED")

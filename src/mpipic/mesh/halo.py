@@ -136,6 +136,19 @@ class Halo:
         """Return a view of the own nodes of a padded array (local_nodes, ...): (z, y, x, ...). Local."""
         return padded.reshape(self._padded + padded.shape[1:])[self._own]
 
+    def columns(self, padded: FloatArray) -> FloatArray:
+        """Return the own values of a padded array (local_nodes, *shape) as columns (k, own nodes), a view or a copy. Local."""
+        own = self.own(padded.reshape(self.local_nodes, -1))
+        return np.moveaxis(own, -1, 0).reshape(own.shape[-1], -1)
+
+    def nodal(self, columns: FloatArray) -> FloatArray:
+        """Return columns (k, own nodes) as a padded array (local_nodes, k), ghosts filled. Collective."""
+        out = np.zeros((self.local_nodes, len(columns)))
+        own = self.own(out)
+        own[...] = np.moveaxis(columns.reshape(-1, *own.shape[:-1]), 0, -1)
+        self.fill(out)
+        return out
+
     def own_rows(self, rows: Nodes) -> Nodes:
         """Return a view of the own nodes of rows (k, local_nodes): (k, z, y, x), axes there are. Local."""
         return rows.reshape(len(rows), *self._padded)[(slice(None), *self._own)]
