@@ -81,3 +81,19 @@ def test_preconditioners_that_need_matrix_entries_get_them_and_agree(answers: An
     assert f"type: {kind}" not in str(usual["said"])
     assert float(np.abs(other["answers"] - usual["answers"]).max()) < AGREEMENT
     assert other["iterations"].max() < 35, "without any it takes 42 to 78"
+
+
+@pytest.mark.parametrize("ranks", RANKS)
+def test_a_ragged_cloud_is_projected_alike_on_any_number_of_ranks_by_factors(answers: Answers, ranks: int) -> None:
+    found = answers("block", ranks)
+    assert found["told"].tolist() == [""] * ranks and found["factorised"].all()
+    assert float(np.abs(found["answers"] - answers("block", 1)["answers"]).max()) < AGREEMENT
+    assert 0.2 < np.linalg.norm(found["answers"]) / np.linalg.norm(program.cloud("block")[1]) < 0.9
+
+
+@pytest.mark.parametrize("ranks", RANKS)
+def test_a_cloud_that_does_not_determine_the_projection_is_refused_on_all_ranks(answers: Answers, ranks: int) -> None:
+    found = answers("line", ranks)
+    (told,) = set(found["told"].tolist())
+    assert "particles determine some nodes hardly" in told and "filter.kind" in told
+    np.testing.assert_array_equal(found["answers"], program.cloud("line")[1])

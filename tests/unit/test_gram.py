@@ -160,7 +160,7 @@ def test_the_stencil_is_assembled_when_columns_enough_follow_and_then_at_once_at
 def test_all_who_solve_with_the_matrix_share_its_stencil():
     mapping, _ = spline_mapping("quadratic", 2)
     filter_, mass = ExactFilter(mapping, 1e-12), LeastSquaresMass(mapping, 1e-9)
-    assert filter_.solver.matrix is mass.solver.matrix is mapping.gram.stencil
+    assert filter_.solver.krylov.matrix is mass.solver.matrix is mapping.gram.stencil
     assert (filter_.solver.prefix, mass.solver.prefix) == ("filter_", "mass_")
     assert (filter_.solver.tolerance, mass.solver.tolerance) == (1e-12, 1e-9)
     penalised = LeastSquaresMass(mapping, 1e-9, Penalty(0.1, 2))

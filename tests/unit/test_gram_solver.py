@@ -77,7 +77,7 @@ def test_any_preconditioner_of_petsc_gives_the_same_answer(options, box, pc):
         dense = Dense(cells, length, position)
         q = noise(dense, 2)
         close(filter_.apply(q), dense.projection() @ q, 1e-9)
-        assert filter_.solver.system(1).ksp.getPC().getType() == pc
+        assert filter_.solver.krylov.system(1).ksp.getPC().getType() == pc
         assert filter_.iterations <= (2 if pc in ("lu", "cholesky") else 60)
 
 
@@ -105,7 +105,7 @@ def test_other_krylov_methods_can_be_chosen(options):
     options(ksp_type="gmres", ksp_norm_type="preconditioned")
     filter_ = ExactFilter(mapping, tolerance=1e-12)
     close(filter_.apply(noise(dense)), dense.projection() @ noise(dense), 1e-9)
-    assert filter_.solver.system(1).ksp.getType() == "gmres"
+    assert filter_.solver.krylov.system(1).ksp.getType() == "gmres"
 
 
 @pytest.mark.parametrize(("box", "name"), few_cases())
@@ -246,7 +246,7 @@ def test_a_guess_that_positions_have_made_worthless_does_no_harm(fraction):
 
 @pytest.mark.parametrize("centre", [0.5, 0.25, 1.5])
 @pytest.mark.parametrize("box", [((2,), (1.0,)), ((2, 1), (1.0, 1.0)), ((4,), (1.0,))], ids=str)
-def test_values_that_nodes_tell_apart_by_rounding_alone_are_neither_refused_nor_enlarged(box, centre):
+def test_in_a_run_values_that_nodes_tell_apart_by_rounding_alone_are_neither_refused_nor_enlarged(box, centre):
     """Two places next to each other, and a difference between them: in G the distance is squared."""
     cells, length = box
     q = np.array([1.0, 1.0, 1.0, 1.0, 1.0, -5.0])
@@ -254,8 +254,9 @@ def test_values_that_nodes_tell_apart_by_rounding_alone_are_neither_refused_nor_
         coordinate = np.zeros((6, len(cells)))
         coordinate[:, 0] = centre
         coordinate[5, 0] += apart
-        filtered = ExactFilter(Mapping(grid_of(cells, length), coordinate / cells * length)).apply(q)
-        assert np.linalg.norm(filtered) <= np.linalg.norm(q) * (1 + 1e-6), apart
+        filter_ = ExactFilter(Mapping(grid_of(cells, length), coordinate / cells * length))
+        filter_.strict = False
+        assert np.linalg.norm(filter_.apply(q)) <= np.linalg.norm(q) * (1 + 1e-6), apart
 
 
 def relative_errors(solver, dense, grid, right, **how):

@@ -285,7 +285,7 @@ def _null_space_share(monodromy: Monodromy, mode: Mode) -> float:
     size = simulation.grid.reduce(np.array([np.sum(parts**2)]))[0]
     if size == 0.0:
         return 0.0
-    hidden = parts - ExactFilter(mapping, 1e-10, "report_").apply(parts)
+    hidden = parts - ExactFilter(mapping, 1e-10, "report_", strict=False).apply(parts)
     return float(np.sqrt(simulation.grid.reduce(np.array([np.sum(hidden**2)]))[0] / size))
 
 

@@ -18,28 +18,37 @@ if TYPE_CHECKING:
 
 
 class ExactFilter(NodalFilter):
-    """F = P = Φ G⁺ Φᵀ, the orthogonal projection on range(Φ), by conjugate gradients on the nodes.
+    """F = P = Φ G⁺ Φᵀ, the orthogonal projection on range(Φ), by a solve with the Gram matrix on the nodes.
 
-    P is what the paper's global SVD filter computes: P² = P, S P = S, P 1 = 1, Pᵀ = P, all to the solver's tolerance,
+    P is what the paper's global SVD filter computes: P² = P, S P = S, P 1 = 1, Pᵀ = P, all to ten times the tolerance,
     at a cost of O(n) instead of O(m² n + n³). Where G is singular (empty nodes, fewer particles than nodes, coincident
     particles) P q is the answer of least norm all the same; nodes that no particle sees get 0.
+
+    Conjugate gradients solve where particles fill their cells; on ragged clouds, where they would miss the tolerance,
+    a factorisation does, as long as no more nodes are seen than `mpipic.mapping.direct_solver.MOST_NODES` says. With σ
+    the smallest singular value that is not 0 of the mapping, scaled, rounding alone leaves P uncertain by some
+    4e-16 / σ: where that is above the tolerance, no method finds what is asked for.
 
     Parameters
     ----------
     tolerance
-        Relative residual; see `mpipic.mapping.solver.GramSolver`.
+        Relative residual of conjugate gradients; the error of P q stays below ten times that.
     prefix
-        Of the solver's PETSc options, ``-filter_ksp_type`` and others. Measurements use ``report_``: what a user says
-        of the filter must not change what it is measured by.
+        Of the solver's PETSc options, ``-filter_ksp_type`` and others. Where there are any, they alone say how to
+        solve. Measurements use ``report_``: what a user says of the filter must not change what it is measured by.
+    strict
+        Refuse positions that do not determine P to the tolerance. Otherwise, as in runs, what they hardly determine is
+        damped: F is symmetric, with eigenvalues in [0, 1], and P but for that; `remarks` tells.
 
     Raises
     ------
     NotConverged
-        From `apply` and `coefficients`; names the residual and the iteration count.
+        From `apply` and `coefficients`; names what was reached, and what would help.
 
     Notes
     -----
-    Collective. An iteration costs two halo exchanges and two reductions: O(n/ranks + its·m/ranks).
+    Collective. An iteration costs two halo exchanges and two reductions: O(n/ranks + its·m/ranks); for a factorisation
+    see `mpipic.mapping.direct_solver`.
 
     References
     ----------
@@ -47,7 +56,7 @@ class ExactFilter(NodalFilter):
     """
 
     kind = "exact"
-    about = "the orthogonal projection on what nodes see, by conjugate gradients on the nodes"
+    about = "the orthogonal projection on what nodes see, by a solve on the nodes"
     is_projection = True
     traits = (SOLVED_FILTER,)
     brings_in = ("filter", "linear solvers")
@@ -79,14 +88,17 @@ class ExactFilter(NodalFilter):
         """Return the Gram matrix with its solver, unless the mass has the same."""
         return gram_doubles(v) if cls.acts(v) and not v.has(GRAM_SOLVER) else 0
 
-    def __init__(self, mapping: NodalMapping, tolerance: float = 1e-10, prefix: str = "filter_") -> None:
+    def __init__(
+        self, mapping: NodalMapping, tolerance: float = 1e-10, prefix: str = "filter_", strict: bool = True
+    ) -> None:
         super().__init__(mapping, tolerance=tolerance)
+        self.strict = strict
         self.tolerance, self.prefix = float(self.settings["tolerance"]), prefix
         self.iterations = 0
 
     @cached_property
     def solver(self) -> Projection:
-        """What solves, made when first used."""
+        """The solver, made when first used."""
         from mpipic.mapping.projection import Projection
 
         return Projection(self.mapping, self.tolerance, self.prefix)
@@ -97,7 +109,7 @@ class ExactFilter(NodalFilter):
         """G⁺ sums, all columns together; zero on nodes that no particle sees. Collective."""
         self.mapping.phase("filter")
         together = None if series is None else (sums.size // len(sums),)
-        answer = self.solver.solve(sums, series, together)
+        answer = self.solver.solve(sums, series, together, self.strict)
         self.iterations = self.solver.iterations
         self.mapping.phase("nodes")
         if out is None:
@@ -115,5 +127,15 @@ class ExactFilter(NodalFilter):
         return self.solver.nbytes
 
     def facts(self) -> dict[str, object]:
-        """Iterations of the last application, and the relative residual they go to."""
-        return {"iterations": self.iterations, "tolerance": self.tolerance}
+        """Return the iterations of the last application, the relative residual they go to, and how it was solved."""
+        return {"iterations": self.iterations, "tolerance": self.tolerance, "factorised": self.solver.factorised}
+
+    def remarks(self) -> list[str]:
+        """Return that the projection was uncertain, and by how much, if it was. Local."""
+        uncertain = self.solver.uncertainty
+        if not uncertain > self.tolerance:
+            return []
+        return [
+            f"at times particles determined the projection to {uncertain:.1g} only, and filter.tolerance is "
+            f"{self.tolerance:g}: what they hardly determined was damped"
+        ]

@@ -53,9 +53,14 @@ class Filter(FilterPart, ABC):
     ----------
     mapping
         What the filter works with; when it moves on to new positions, so does the filter.
-
     settings
         Values of the keys of `Settings`; a class takes them as keywords, with the same defaults.
+
+    Attributes
+    ----------
+    strict : bool
+        Whether positions are refused at which the filter cannot be had to its tolerance. Runs set it to False, and tell
+        `remarks`.
 
     Raises
     ------
@@ -70,6 +75,7 @@ class Filter(FilterPart, ABC):
     """
 
     brings_in: ClassVar[tuple[str, ...]] = ("filter",)
+    strict: bool = True
     traits = (A_FILTER,)
 
     @staticmethod
@@ -141,6 +147,10 @@ class Filter(FilterPart, ABC):
     def facts(self) -> dict[str, object]:
         """Return what the filter found out about itself at its present positions, for reports."""
         return {}
+
+    def remarks(self) -> list[str]:
+        """Return sentences that whoever uses results of the filter should read, if there are any. Local."""
+        return []
 
 
 class NodalFilter(Filter):

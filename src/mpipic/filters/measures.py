@@ -37,7 +37,7 @@ def share_unseen(mapping: Mapping, q: FloatArray) -> float | None:
         return 0.0 if largest == 0.0 else None
     q = q / largest
     try:
-        hidden = q - ExactFilter(mapping, SHARE_TOLERANCE, "report_").apply(q)
+        hidden = q - ExactFilter(mapping, SHARE_TOLERANCE, "report_", strict=False).apply(q)
     except NotConverged:
         return None
     sums = grid.reduce(np.array([np.sum(hidden**2), np.sum(q**2)]))

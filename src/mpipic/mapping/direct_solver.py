@@ -27,12 +27,16 @@ from mpipic.mesh.petsc_objects import close_at_exit
 SHIFTS = (1e-14, 1e-13, 1e-12)
 """s, the next where rounding of G's entries leaves A with the first not positive definite."""
 ROUNDING = 2.0 * float(np.finfo(float).eps)
-"""What the projection is known to, times σ."""
+"""The projection is known to this divided by σ."""
 LEAST = 1e-7
 """The refinement is slow on σ below sqrt(s)."""
 UNSEEN = 1e-13
 """σ below is rounding of 0."""
 MOST_ROUNDS = 100
+FEW_ROUNDS = 12
+"""Refinement goes on for so long where some directions are not determined: what is left of those is damped."""
+JUDGED_EVERY = 16
+"""One in so many positions is judged where they need not be determined."""
 MOST_NODES = {1: 2_000_000, 2: 200_000, 3: 30_000}
 """Dimension to nodes that particles see: beyond, factorising takes longer than some seconds, or much memory."""
 DOUBT = 1000.0
@@ -53,6 +57,8 @@ class DirectSolver:
     ----------
     iterations : int
         Rounds of the last solve.
+    uncertainty : float
+        Largest uncertainty of P that was found at positions that do not determine it to the tolerance; 0 if none.
 
     Notes
     -----
@@ -65,8 +71,9 @@ class DirectSolver:
         self.mapping, self.tolerance = mapping, tolerance
         self.matrix = mapping.gram.stencil
         self.needed = max(ROUNDING / tolerance, LEAST)
-        self.iterations = 0
+        self.iterations, self.uncertainty = 0, 0.0
         self._version, self._nodes, self._shift = -1, 0, SHIFTS[0]
+        self._moves, self._least = 0, np.nan
         self._owned: tuple[PETSc.Object, ...] = ()
         close_at_exit(self)
 
@@ -87,32 +94,33 @@ class DirectSolver:
         self.matrix.refresh()
         return int(self.matrix.grid.reduce(np.array([float(np.count_nonzero(self.matrix.root))]))[0])
 
-    def solve(self, sums: FloatArray) -> FloatArray:
+    def solve(self, sums: FloatArray, strict: bool = True) -> FloatArray:
         """Return a, right on own and ghost nodes: (local_nodes, *shape) to the same. Collective.
 
-        Columns that are not finite give NaN, and leave others alone.
+        Columns that are not finite give NaN, and leave others alone. If not `strict`, directions that are not
+        determined are kept in part: the operator is symmetric, with eigenvalues in [0, 1], all the same.
 
         Raises
         ------
         NotConverged
-            The projection is not determined to the tolerance at these positions; says to how much it is.
+            If `strict`: the projection is not determined to the tolerance at these positions; says to how much it is.
         """
-        self._follow()
+        self._follow(strict)
         matrix, nodes = self.matrix, self.matrix.grid.nodes
         right = nodes.columns(sums) * matrix.scale
         sizes = matrix.grid.sizes_of(right)
         finite = np.isfinite(sizes)
         right[~finite], sizes[~finite] = 0.0, 1.0
-        answer = self._refine(right / sizes[:, None])
+        answer = self._refine(right / sizes[:, None], MOST_ROUNDS if strict else FEW_ROUNDS)
         answer *= matrix.scale * sizes[:, None]
         answer[~finite] = np.nan
         return nodes.nodal(answer).reshape(sums.shape)
 
-    def _refine(self, residual: FloatArray) -> FloatArray:
-        """Return the scaled answers (k, own nodes) to scaled right-hand sides, which are overwritten."""
+    def _refine(self, residual: FloatArray, most: int) -> FloatArray:
+        """Return the scaled answers (k, own nodes) to scaled right-hand sides, which are overwritten. Collective."""
         answer, first = np.zeros_like(residual), np.zeros(len(residual))
         left = self._shift / self.needed**2  # of a round's change is what later rounds may change, at most
-        for self.iterations in range(1, MOST_ROUNDS + 1):
+        for self.iterations in range(1, most + 1):
             change = self._solve_factorised(residual)
             answer += change
             seen, sizes = self._seen(change)
@@ -120,6 +128,8 @@ class DirectSolver:
             if np.all(left * sizes <= self.tolerance * first):
                 return answer
             residual -= self._sums(seen)
+        if most < MOST_ROUNDS:
+            return answer
         raise NotConverged(
             f"solving with the factorised Gram matrix left changes of {np.max(sizes / first):.3g} after "
             f"{MOST_ROUNDS} rounds; asked for is {self.tolerance:g}"
@@ -140,18 +150,19 @@ class DirectSolver:
 
     # ------------------------------------------------------------ factors
 
-    def _follow(self) -> None:
-        """Factorise G at the mapping's present positions, and judge it. Collective."""
-        if self._version == self.mapping.version:
-            return
-        self._version = -1
-        self._nodes = self._seen_nodes()
-        self._factorise()
-        least = self._smallest()
-        if least < self.needed:
-            self.close()
-            raise NotConverged(self._undetermined(least))
-        self._version = self.mapping.version
+    def _follow(self, strict: bool) -> None:
+        """Factorise G at the mapping's present positions, and judge it, if not `strict`, now and then. Collective."""
+        if self._version != self.mapping.version:
+            self._version = -1
+            self._nodes, self._least = self._seen_nodes(), np.nan
+            self._factorise()
+            self._version, self._moves = self.mapping.version, self._moves + 1
+        if np.isnan(self._least) and (strict or self._moves % JUDGED_EVERY == 1):
+            self._least = self._smallest()
+        if self._least < self.needed:
+            self.uncertainty = max(self.uncertainty, ROUNDING / self._least)
+            if strict:
+                raise NotConverged(self._undetermined())
 
     def _factorise(self) -> None:
         for self._shift in SHIFTS:
@@ -237,12 +248,12 @@ class DirectSolver:
     def _norm(self, columns: FloatArray) -> float:
         return float(np.sqrt(self.matrix.grid.reduce(np.array([np.sum(columns**2)]))[0]))
 
-    def _undetermined(self, least: float) -> str:
-        known = ROUNDING / least
+    def _undetermined(self) -> str:
+        least, known = self._least, ROUNDING / self._least
         ask = f"filter.tolerance = {2.0 * known:.1g}, " if least > 2.0 * LEAST else ""
         return (
             f"particles determine some nodes hardly (smallest singular value of the scaled mapping {least:.1g}), so "
             f"that rounding leaves the projection uncertain by {known:.1g}, and the tolerance is {self.tolerance:g}; "
-            f'{ask}a basis of lower degree or more particles helps, or filter.kind = "order" or "chebyshev", which '
+            f'{ask}a basis of lower degree or more particles help, or filter.kind = "order" or "chebyshev", which '
             "solve nothing"
         )

@@ -15,16 +15,16 @@ import numpy as np
 from mpipic.arrays import FloatArray
 from mpipic.errors import NotConverged
 from mpipic.mapping.base import NodalMapping
-from mpipic.mapping.direct_solver import DirectSolver
+from mpipic.mapping.direct_solver import ROUNDING, DirectSolver
 from mpipic.mapping.solver import GramSolver
+from mpipic.mesh.petsc_options import given
 
 ERROR = 10.0
 """The error may be so many times the tolerance."""
 MOST_ITERATIONS = 300
-"""Of conjugate gradients where factorising is possible: twice what they take where they can be trusted."""
+"""Conjugate gradients may take so many where factorising is possible: twice what they do where they can be trusted."""
 PATIENCE = (8, 64)
 """Positions that the factorisation is kept for before conjugate gradients are tried again, at first and at most."""
-LEAST_RESIDUAL = 1e-15
 
 
 class Projection:
@@ -37,7 +37,8 @@ class Projection:
     tolerance
         Of the relative residual of conjugate gradients.
     prefix
-        Of their options.
+        Of their options. Where there are any, a user has chosen how to solve: their word alone counts then, and the
+        tolerance is on the residual.
 
     Attributes
     ----------
@@ -60,7 +61,7 @@ class Projection:
     @cached_property
     def krylov(self) -> GramSolver:
         """Conjugate gradients."""
-        most = MOST_ITERATIONS if self.direct.fits else None
+        most = MOST_ITERATIONS if not self._chosen and self.direct.fits else None
         return GramSolver(self.mapping, self.tolerance, self.prefix, most_iterations=most)
 
     @cached_property
@@ -79,20 +80,40 @@ class Projection:
         return self.krylov.nbytes
 
     def solve(
-        self, sums: FloatArray, series: Hashable | None = None, quantities: Sequence[int] | None = None
+        self,
+        sums: FloatArray,
+        series: Hashable | None = None,
+        quantities: Sequence[int] | None = None,
+        strict: bool = True,
     ) -> FloatArray:
         """Return a, right on own and ghost nodes: (local_nodes, *shape) to the same; see `GramSolver.solve`.
+
+        If not `strict`, what particles do not determine to the tolerance is damped; see `DirectSolver.solve`.
 
         Raises
         ------
         NotConverged
             Neither way leads to the tolerance; says why.
         """
+        if self._chosen:
+            self.factorised, answer = False, self.krylov.solve(sums, series, quantities)
+            self.iterations = self.krylov.iterations
+            return answer
         if self.mapping.version >= self._again:
-            answer = self._by_iteration(sums, series, quantities)
-            if answer is not None:
-                return answer
-        return self._by_factors(sums)
+            found = self._by_iteration(sums, series, quantities)
+            if found is not None:
+                return found
+        return self._by_factors(sums, strict)
+
+    @cached_property
+    def _chosen(self) -> bool:
+        """Whether the user's options say how to solve."""
+        return bool(given(self.prefix))
+
+    @property
+    def uncertainty(self) -> float:
+        """Largest uncertainty of P that was found; see `DirectSolver`."""
+        return self.direct.uncertainty
 
     def _by_iteration(
         self, sums: FloatArray, series: Hashable | None, quantities: Sequence[int] | None
@@ -112,16 +133,17 @@ class Projection:
                 return answer
             if self.direct.fits:
                 return None
-            self._sharper = 0.5 * needed
-            if self.tolerance * self._sharper < LEAST_RESIDUAL:
+            # products with the rounded entries of G leave an error of ε/λ, whatever the residual
+            if ROUNDING >= ERROR * self.tolerance * self.krylov.smallest:
                 raise NotConverged(self._too_large())
+            self._sharper = 0.5 * needed
 
-    def _by_factors(self, sums: FloatArray) -> FloatArray:
+    def _by_factors(self, sums: FloatArray, strict: bool) -> FloatArray:
         if self.mapping.version >= self._again:
             self._again = self.mapping.version + self._patience
             self._patience = min(2 * self._patience, PATIENCE[1])
         self.factorised = True
-        answer = self.direct.solve(sums)
+        answer = self.direct.solve(sums, strict)
         self.iterations = self.direct.iterations
         return answer
 

@@ -141,14 +141,15 @@ class GramSolver:
             ksp.setOptionsPrefix(self.prefix)
             ksp.setType(PETSc.KSP.Type.CG)
             ksp.setNormType(PETSc.KSP.NormType.NATURAL)
-            ksp.setTolerances(rtol=self.tolerance / np.sqrt(columns), atol=0.0, divtol=1e100, max_it=self.most_iterations)
+            ksp.setTolerances(self.tolerance / np.sqrt(columns), 0.0, 1e100, self.most_iterations)
             ksp.setComputeSingularValues(True)
             pc = ksp.getPC()
             pc.setType(PETSc.PC.Type.PYTHON)
             pc.setPythonContext(self.preconditioner)
             ksp.setOperators(matrix)
             configure(ksp, matrix)
-            self._systems[columns] = _System(ksp, matrix, *matrix.createVecs(), ksp.getTolerances()[0])
+            x, b = matrix.createVecs()
+            self._systems[columns] = _System(ksp, matrix, x, b, ksp.getTolerances()[0])
         return self._systems[columns]
 
     def _shell(self, columns: int) -> PETSc.Mat:
@@ -235,7 +236,7 @@ class GramSolver:
             system.ksp.setInitialGuessNonzero(False)
             solve(system.ksp, system.b, system.x)
         self._note(system.ksp)
-        answer = system.x.getArray(readonly=True).reshape(right.shape) * matrix.scale
+        answer: FloatArray = system.x.getArray(readonly=True).reshape(right.shape) * matrix.scale
         answer /= weights[:, None]
         answer *= sizes[:, None]
         for row, known in zip(answer, earlier, strict=True):

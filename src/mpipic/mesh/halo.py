@@ -137,7 +137,7 @@ class Halo:
         return padded.reshape(self._padded + padded.shape[1:])[self._own]
 
     def columns(self, padded: FloatArray) -> FloatArray:
-        """Return the own values of a padded array (local_nodes, *shape) as columns (k, own nodes), a view or a copy. Local."""
+        """Return the own values of a padded array (local_nodes, *shape) as columns (k, own nodes). Local."""
         own = self.own(padded.reshape(self.local_nodes, -1))
         return np.moveaxis(own, -1, 0).reshape(own.shape[-1], -1)
 

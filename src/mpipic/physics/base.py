@@ -8,7 +8,7 @@ history, snapshots, pictures, works from the names and numbers given here.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -120,6 +120,10 @@ class Physics(Part, ABC):
     def nbytes(self) -> int:
         """Bytes of arrays that live as long as the run, without the particles. Local."""
         return 0
+
+    def remarks(self) -> Sequence[str]:
+        """Return sentences that whoever uses the results should read, the same on all ranks. Local."""
+        return ()
 
     def facts(self) -> Mapping[str, int]:
         """Return counts that a summary tells, such as how often particles were sorted. Local."""

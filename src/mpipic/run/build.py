@@ -208,6 +208,8 @@ def step_on(scene: Scene, carrier: ParticleSweep) -> AcousticStep:
     values, kind = scene.values, _acting_filter(scene)
     keep = kind(carrier, **scene.settings("filter.kind")) if kind else None
     assert keep is None or isinstance(keep, NodalFilter)
+    if keep is not None:
+        keep.strict = False
     # least-squares fields of what has been in range(Φ) all the time
     symmetric = keep is None and values.has(NODAL_GRADIENTS) and values.has(LEAST_SQUARES)
     integrate = _integrator(scene, symmetric)

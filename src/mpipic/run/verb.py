@@ -216,7 +216,7 @@ def summary(
     seconds: dict[str, float],
     lost: Sequence[str] = (),
 ) -> dict[str, object]:
-    """Return the content of summary.json, with what could not be written where there is such. Collective."""
+    """Return the content of summary.json, with remarks and what could not be written, if any. Collective."""
     phases = simulation.phases
     stepping = phases.total(*STEP_PHASES)
     # a blow-up is dated to its step, but steps go on until the ranks next look
@@ -242,8 +242,8 @@ def summary(
         "scene": simulation.scene.to_dict(),
         "versions": versions(),
     }
-    if lost:
-        result["lost"] = lost
+    said = {"remarks": list(simulation.physics.remarks()), "lost": lost}
+    result |= {name: texts for name, texts in said.items() if texts}
     if outcome.blow_up is not None:
         result["blow_up"] = outcome.blow_up
         result["cfl"] = simulation.scene.cfl
@@ -252,6 +252,8 @@ def summary(
 
 def _say(console: Console, outcome: Outcome, simulation: Simulation, recorder: Recorder, limit: float | None) -> None:
     console.error_table(recorder.reports)
+    for remark in simulation.physics.remarks():
+        console.warning(remark)
     if outcome.status == "interrupted":
         console.warning(f"interrupted after step {outcome.step}; what was recorded until then is complete")
     if outcome.status == "failed":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -48,6 +48,10 @@ class Stepper(Protocol):
 
     def facts(self) -> dict[str, int]:
         """Return counts that a summary tells. Local."""
+        ...
+
+    def remarks(self) -> list[str]:
+        """Return sentences that whoever uses the results should read, if there are any. Local."""
         ...
 
     def close(self) -> None:
@@ -186,6 +190,10 @@ class Acoustics(Physics):
     def nbytes(self) -> int:
         """Bytes of the step's arrays. Local."""
         return self.stepper.nbytes
+
+    def remarks(self) -> Sequence[str]:
+        """Return those of the step. Local."""
+        return self.stepper.remarks()
 
     def facts(self) -> Mapping[str, int]:
         """Return how often particles were sorted and ghost nodes exchanged. Local."""

@@ -191,6 +191,11 @@ class MovingReference:
         filter_ = self.reference.scheme.filter
         return self.mapping.nbytes + (filter_.nbytes if filter_ else 0)
 
+    def remarks(self) -> list[str]:
+        """Return those of the filter. Local."""
+        filter_ = self.reference.scheme.filter
+        return filter_.remarks() if filter_ else []
+
     def facts(self) -> dict[str, int]:
         """Return how often this rank sorted its particles, never, and exchanged ghost nodes, and with whom. Local."""
         nodes = self.grid.nodes

@@ -66,6 +66,10 @@ class Slopes(Part, ABC):
         """Begin every series anew. Local."""
         return
 
+    def remarks(self) -> list[str]:
+        """Return what whoever uses the results should know of. Local."""
+        return []
+
     @property
     def nbytes(self) -> int:
         """Bytes held."""
@@ -144,6 +148,10 @@ class FilteredSlopes(Slopes):
         """Begin every series anew. Local."""
         self.filter.forget()
 
+    def remarks(self) -> list[str]:
+        """Return those of the filter. Local."""
+        return self.filter.remarks()
+
     @property
     def nbytes(self) -> int:
         """Bytes that the filter holds."""
@@ -204,6 +212,10 @@ class GridSlopes(Slopes):
         """Begin every series anew. Local."""
         if self.filter is not None:
             self.filter.forget()
+
+    def remarks(self) -> list[str]:
+        """Return those of the filter. Local."""
+        return self.filter.remarks() if self.filter else []
 
     @property
     def nbytes(self) -> int:

@@ -174,6 +174,10 @@ class AcousticStep(Rates):
         parts = (self.sweep, scheme.mass, scheme.slopes, scheme.damping, scheme.work)
         return sum(part.nbytes for part in parts)
 
+    def remarks(self) -> list[str]:
+        """Return what whoever uses the results should know of. Local."""
+        return self.scheme.slopes.remarks()
+
     def facts(self) -> dict[str, int]:
         """Return how often this rank sorted its particles and exchanged ghost nodes of nodal arrays, and with whom.
 
