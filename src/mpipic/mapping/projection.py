@@ -134,7 +134,7 @@ class Projection:
             if self.direct.fits:
                 return None
             # products with the rounded entries of G leave an error of ε/λ, whatever the residual
-            if ROUNDING >= ERROR * self.tolerance * self.krylov.smallest:
+            if ERROR * self.tolerance * self.krylov.smallest <= ROUNDING:
                 raise NotConverged(self._too_large())
             self._sharper = 0.5 * needed
 
