@@ -25,7 +25,6 @@ import numpy as np  # noqa: E402  after the settings that start() makes
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from cloud_helpers import clouds, projected  # noqa: E402
-
 from mpipic.errors import NotConverged  # noqa: E402
 from mpipic.files import write_json  # noqa: E402
 from mpipic.filters import ExactFilter  # noqa: E402
