@@ -1,5 +1,15 @@
-"""`python -m mpipic` is the command line."""
+"""`python -m mpipic`, and `mpipic`, are the command line."""
 
-from mpipic.cli import main
+from mpipic.interrupts import end_when_asked
 
-main()
+
+def main() -> None:
+    """Run the command line, which signals can end from before its libraries are there."""
+    end_when_asked()
+    from mpipic.cli import main as command_line
+
+    command_line()
+
+
+if __name__ == "__main__":
+    main()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gc
 import os
+import re
 import shlex
 import sys
 from collections.abc import Iterator
@@ -47,6 +48,8 @@ Preset = Annotated[
 ]
 
 NOT_WRITTEN, BAD_INPUT, NOT_CONVERGED = 1, 2, 4
+PETSC_WORD = re.compile(r"-\w*(?:ksp|pc|svd|eps)_\w")
+"""Matches an option of PETSc's."""
 
 
 def _print_version(wanted: bool) -> None:
@@ -368,6 +371,8 @@ def main() -> None:
             raise
         if first and hasattr(error, "show"):
             error.show()
+            if any(PETSC_WORD.match(word) for word in sys.argv):
+                sys.stderr.write('Options of PETSc go into a variable: PETSC_OPTIONS="-filter_ksp_monitor"\n')
         code = error.exit_code
     if code:
         gc.collect()  # of what an error kept alive: PETSc waits for the other ranks as it frees its objects

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from mpipic.errors import WriteFailed
+from mpipic.interrupts import unfinished
 
 ROOM = "free some space there, or name a folder elsewhere by --output"
 ADVICE = {
@@ -67,6 +68,7 @@ def replacing(path: Path) -> Iterator[Path]:
         The system refuses; an older file of this name stays as it was.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    unfinished.add(str(temporary))
     try:
         yield temporary
         sync(temporary)
@@ -76,6 +78,7 @@ def replacing(path: Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
+        unfinished.discard(str(temporary))
 
 
 def write_at(descriptor: int, data: memoryview, offset: int) -> None:

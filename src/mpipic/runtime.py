@@ -13,11 +13,12 @@ from dataclasses import dataclass
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING
 
+from mpipic.interrupts import RANKS, STOP_SIGNALS
+
 if TYPE_CHECKING:
     from mpi4py import MPI
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-RANKS = ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "MV2_COMM_WORLD_RANK")
 ANNOUNCED = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "MV2_COMM_WORLD_SIZE")
 LAUNCHED = (
     "OMPI_COMM_WORLD_", "OMPI_MCA_orte_", "OMPI_MCA_ess", "OMPI_MCA_pmix", "OMPI_MCA_initial_wdir", "OMPI_APP_CTX",
@@ -25,7 +26,6 @@ LAUNCHED = (
     "OMPI_ARGV", "PMIX_", "PMI_", "PMI2_", "MV2_COMM_WORLD_", "MPI_LOCAL", "HYDI_",
 )  # fmt: skip
 """How variables are called that launchers of Open MPI and MPICH leave; what starts with them passes for a rank."""
-STOP_SIGNALS = ("SIGINT", "SIGTERM", "SIGUSR1")
 BANNER = re.compile(r"^-{60,}\n(?:.*\n)*?-{60,}\n?", re.MULTILINE)
 """Matches what Open MPI says between two rules, such as that a rank has failed."""
 FOREIGN = re.compile(
@@ -70,8 +70,8 @@ def start() -> MPI.Intracomm:
 
     Every later exception ends all ranks.
 
-    Ends with exit code 1 if the launcher announces another number of processes than MPI sees: the launcher of one MPI
-    with the library of another silently runs N copies of a serial program.
+    Ends with exit code 2 if PETSc refuses its options, and with 1 if the launcher announces another number of processes
+    than MPI sees: the launcher of one MPI with the library of another silently runs N copies of a serial program.
     """
     settle()
     from mpi4py import MPI
@@ -89,8 +89,25 @@ def start() -> MPI.Intracomm:
             raise SystemExit(1)
     if comm.size > 1:
         sys.excepthook = _abort_all
+    _begin_petsc()
     atexit.register(_end_petsc)
     return comm
+
+
+def _begin_petsc() -> None:
+    """Import PETSc, which reads its options; end with exit code 2, on all ranks, if it does not begin with them."""
+    try:
+        import petsc4py.PETSc  # noqa: F401
+    except ImportError:
+        raise
+    except Exception as error:  # PETSc's own class of errors could not be imported
+        if launched().rank == 0:
+            given = os.environ["PETSC_OPTIONS"].removesuffix("-no_signal_handler").strip()
+            sys.stderr.write(
+                f"error: PETSc does not begin ({error}): one of its options is wrong, in PETSC_OPTIONS, which is now "
+                f'"{given}", or in a file .petscrc or petscrc here or .petscrc at home\n'
+            )
+        raise SystemExit(2) from None
 
 
 def _end_petsc() -> None:
@@ -148,7 +165,9 @@ class StopRequest:
         self._interrupts += number == signal.SIGINT
         if self._interrupts > 1:
             self.release()
-            raise KeyboardInterrupt
+            before = self._before[signal.SIGINT]
+            if callable(before):
+                before(number, frame)
 
     def release(self) -> None:
         """Give the signals back to whoever had them."""

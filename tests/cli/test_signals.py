@@ -10,6 +10,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -141,3 +142,62 @@ def test_ctrl_c_on_the_run_script_ends_all_ranks_in_order(tmp_path: Path) -> Non
     ended = stop(process, folder, lambda: os.killpg(process.pid, signal.SIGINT))
     assert ended.returncode == 130 and ended.stderr.count("interrupted after step") == 1, ended.stderr
     check_kept(folder, 2, snapshots=True)
+
+
+# ---------------------------------------------------------------- other verbs, and what comes before the first step
+
+LONG = {
+    "run": ["--no-plots", "--set", "time.steps=10000000"],
+    "stability": ["--map", "gas.flow=0:0.5:40", "--map", "time.cfl=0.1:0.4:40", "--max-period", "500"],
+    "trials": [],
+    "spectrum": ["--set", "grid.cells=[400, 400]", "--filters", "order:300"],
+    "filters": ["--set", "grid.cells=[400, 400]", "--filters", "order:3000"],
+    "bench": ["--particles", "2e6", "--repeats", "1000"],
+}
+"""Verbs to what keeps them busy for longer than any signal is late."""
+APART = 0.27
+"""Seconds."""
+
+
+def listen(process: subprocess.Popen[str], ranks: int) -> Callable[[], bool]:
+    """Whether it is the program that answers signals: in its first hundredths of a second, it is Python itself."""
+
+    def catches(pid: int) -> bool:
+        (line,) = re.findall(r"^SigCgt:\s*(\w+)$", Path(f"/proc/{pid}/status").read_text(), re.MULTILINE)
+        return bool(int(line, 16) & (1 << (signal.SIGUSR1 - 1)))
+
+    def all_catch() -> bool:
+        pids = children(process) if ranks > 1 else [process.pid]
+        return len(pids) == ranks and all(map(catches, pids))
+
+    return all_catch
+
+
+def interrupt(processes: list[subprocess.Popen[str]], number: signal.Signals, ranks: int = 1) -> None:
+    """Send the signal to one process after the other, each at another point of its way, and judge the ends."""
+    for delay, process in enumerate(processes):
+        time.sleep(APART if delay else 0.0)
+        wait_until(listen(process, ranks), process)
+        process.send_signal(number)
+    for process in processes:
+        ended = finish(process, 30.0)
+        said = (process.args, ended.returncode, ended.stderr)
+        assert ended.returncode == 130 and "Traceback" not in ended.stderr and "rror" not in ended.stderr, said
+        assert ended.stderr.count("interrupted") <= 1, said
+
+
+@pytest.mark.parametrize("number", SIGNALS[:2])
+def test_any_verb_ends_with_130_at_any_moment_and_leaves_nothing_half_written(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    turn = SIGNALS.index(number) * 2
+    verbs = [*LONG, *LONG][turn : turn + len(LONG)]
+    words = [[sys.executable, "-m", "mpipic", verb, *LONG[verb], "--output", tmp_path / verb] for verb in verbs]
+    interrupt([start(command, tmp_path) for command in words], number)
+    assert not list(tmp_path.rglob("*.tmp"))
+
+
+@pytest.mark.mpi
+def test_any_verb_ends_on_two_ranks_with_130_at_any_moment(tmp_path: Path) -> None:
+    words = [[verb, *LONG[verb], "--output", tmp_path / verb] for verb in ("bench", "stability", "spectrum")]
+    interrupt([start_ranks(2, "-m", "mpipic", *more, cwd=tmp_path) for more in words], signal.SIGUSR1, ranks=2)

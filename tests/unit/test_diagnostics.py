@@ -84,3 +84,10 @@ def test_a_report_compares_both_fields_with_the_exact_solution_at_that_time():
     assert row["density_l2"] == report.errors["density"].l2
     assert row["velocity_linf"] == report.errors["velocity"].linf
     assert len(row) == 7 and row["null_space_fraction"] is None
+
+
+@pytest.mark.parametrize("dim", [1, 2, 3])
+def test_a_rank_without_particles_reports_what_the_others_have(dim):
+    particles = particles_of(grid_of((4,) * dim, (1.0,) * dim), np.empty((0, dim)))
+    report = measure(particles, {"density": np.empty(0), "velocity": np.empty((0, dim))}, 7, 3.0, 20, COMM)
+    assert all(as_tuple(error) == (0.0, 0.0, 0.0) for error in report.errors.values())

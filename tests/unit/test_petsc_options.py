@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
 from mpi4py import MPI
 
-from helpers import mpipic_here
+from helpers import environment, finish, mpipic_here, start
 from mpipic.filters.measures import share_unseen
 from mpipic.mapping.mapping import Mapping
 from mpipic.mesh import petsc_options
@@ -134,3 +136,15 @@ def test_every_solver_that_petsc_knows_gives_the_filter_or_is_refused() -> None:
     found = outcomes(MPI.COMM_SELF)
     assert not failures(found)
     assert {how for _, how, _ in found} == {"solved", "BadOption", "NotConverged"}
+
+
+def test_options_that_petsc_does_not_begin_with_are_refused() -> None:
+    variables = environment(PETSC_OPTIONS="-options_file no/file")
+    ended = finish(start([sys.executable, "-m", "mpipic", "check"], env=variables))
+    assert ended.returncode == 2 and "Traceback" not in ended.stderr
+    assert "error: PETSc does not begin" in ended.stderr and '"-options_file no/file"' in ended.stderr
+
+
+def test_options_on_the_command_line_are_told_where_they_belong() -> None:
+    ended = mpipic_here("run", "-filter_pc_type", "gamg")
+    assert ended.returncode == 2 and 'PETSC_OPTIONS="-' in ended.stderr

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from mpi4py import MPI
 
-from mpipic.arrays import FloatArray
+from mpipic.arrays import FloatArray, columns_of
 from mpipic.particles.store import Particles
 
 
@@ -82,5 +82,5 @@ def measure(
     errors = {}
     for name, truth in exact.items():
         error = particles[name] - truth
-        errors[name] = norms(error if error.ndim == 1 else error.reshape(len(error), -1), total, comm)
+        errors[name] = norms(error if error.ndim == 1 else columns_of(error), total, comm)
     return ErrorReport(step, time, errors)

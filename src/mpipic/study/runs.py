@@ -229,14 +229,17 @@ def _processor() -> str:
     return platform.processor() or platform.machine()
 
 
+ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGUSR1)
+
+
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """Within the block SIGTERM and SIGHUP act like Ctrl-C."""
+    """Within the block Ctrl-C, SIGTERM, SIGHUP and SIGUSR1 raise KeyboardInterrupt."""
 
     def stop(number: int, frame: object) -> None:
         raise KeyboardInterrupt
 
-    before = {number: signal.signal(number, stop) for number in (signal.SIGTERM, signal.SIGHUP)}
+    before = {number: signal.signal(number, stop) for number in ENDING}
     try:
         yield
     finally:
