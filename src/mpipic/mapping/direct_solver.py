@@ -37,8 +37,8 @@ FEW_ROUNDS = 12
 """Refinement goes on for so long where some directions are not determined: what is left of those is damped."""
 JUDGED_EVERY = 16
 """One in so many positions is judged where they need not be determined."""
-MOST_NODES = {1: 2_000_000, 2: 200_000, 3: 30_000}
-"""Dimension to nodes that particles see: beyond, factorising takes longer than some seconds, or much memory."""
+MOST_NODES = {1: 1_000_000, 2: 100_000, 3: 20_000}
+"""Dimension to nodes that particles see: with more, factorising takes longer than some seconds on cubic splines."""
 DOUBT = 1000.0
 """A random vector has less than one part in this of the root of its norm along a given direction once in a thousand."""
 
