@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mpipic import __version__
+from mpipic.command_numbers import Number, count
 from mpipic.errors import NotConverged, Refused, WriteFailed
 from mpipic.runtime import launched, start
 
@@ -205,7 +206,7 @@ def spectrum(
         Path | None, typer.Option("--output", "-o", help="Folder for spectrum.csv and .png; default runs/...")
     ] = None,
     plots: Annotated[bool, typer.Option(help="Draw spectrum.png.")] = True,
-    phase: Annotated[float, typer.Option(help="Phase of the waves on the node at the origin, in radians.")] = 0.3,
+    phase: Annotated[float, typer.Option(parser=Number(), help="Phase of the waves on node 0, in radians.")] = 0.3,
 ) -> None:
     """Say what one application of each filter keeps of every wave, on a scene's particles."""
     comm = start()
@@ -274,7 +275,9 @@ def stability(
     scene: SceneFile = None,
     set_: Overrides = None,
     preset: Preset = None,
-    max_period: Annotated[int, typer.Option(help="Most steps after which the pattern must recur.")] = 1000,
+    max_period: Annotated[
+        int, typer.Option(parser=count(1_000_000), help="Most steps after which the pattern must recur.")
+    ] = 1000,
     round_flow: Annotated[bool, typer.Option("--round-flow", help="Take the nearest flow that recurs.")] = False,
     maps: Annotated[
         list[str] | None, typer.Option("--map", help="KEY=FROM:TO:COUNT; give two for a map of growth.")
@@ -300,6 +303,7 @@ def stability(
             axes = [growth_map.parse_axis(text) for text in maps]
             own = loaded.filter.kind
             choices = choose(names or [own], loaded, loaded.particle_count or 0, unfiltered=True)
+            growth_map.check_axes(loaded, axes, len(choices))
             folder = output or RunDirectory.default(f"{loaded.name}-stability", comm)
             growth_map.run(loaded, axes, choices, comm, Console(comm), folder, max_period)
         else:
@@ -326,14 +330,18 @@ def trials(
 
 @app.command()
 def bench(
-    dim: Annotated[list[int] | None, typer.Option(help="Dimension to time; repeatable. Default: 1 2 3.")] = None,
-    particles: Annotated[float, typer.Option(help="Particles, about.")] = 1e7,
-    per_cell: Annotated[int, typer.Option(help="Particles per cell, about.")] = 4,
+    dim: Annotated[
+        list[int] | None, typer.Option(parser=count(3), help="Dimension to time; repeatable. Default: 1 2 3.")
+    ] = None,
+    particles: Annotated[int, typer.Option(parser=count(10**11), help="Particles, about.")] = 10_000_000,
+    per_cell: Annotated[int, typer.Option(parser=count(10_000), help="Particles per cell, about.")] = 4,
     kind: Annotated[list[str] | None, typer.Option("--filter", help="Repeatable. Default: local.")] = None,
     layout: Annotated[str, typer.Option(help="lattice, jittered or random.")] = "jittered",
-    steps: Annotated[int, typer.Option(help="Steps per sample.")] = 5,
-    repeats: Annotated[int, typer.Option(help="Samples; the median counts.")] = 5,
-    tolerance: Annotated[float, typer.Option(help="Relative residual of the exact filter.")] = 1e-8,
+    steps: Annotated[int, typer.Option(parser=count(1_000_000), help="Steps per sample.")] = 5,
+    repeats: Annotated[int, typer.Option(parser=count(1000), help="Samples; the median counts.")] = 5,
+    tolerance: Annotated[
+        float, typer.Option(parser=Number(0, 1, open=True), help="Relative residual of the exact filter.")
+    ] = 1e-8,
     basis: Annotated[str, typer.Option(help="linear, quadratic or cubic.")] = "linear",
     preset: Annotated[str | None, typer.Option(help="A scheme by name, in place of basis and filters.")] = None,
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Write the numbers as JSON too.")] = None,
@@ -346,7 +354,7 @@ def bench(
     with _stating(comm):
         plan = benchmark.Plan(
             tuple(dim or (1, 2, 3)),
-            int(particles),
+            particles,
             per_cell,
             (preset,) if preset else tuple(kind or ("local",)),
             layout,

@@ -16,7 +16,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mpipic.agreement import on_first
 from mpipic.analysis.triad import Triad
+from mpipic.analysis.writing import check_file
 from mpipic.console import Console
 from mpipic.files import write_json
 from mpipic.phases import Phases
@@ -152,13 +154,14 @@ def _share_of_phases(phases: Phases) -> dict[str, float]:
 
 def run(plan: Plan, comm: MPI.Comm, console: Console, output: Path | None = None) -> list[Timing]:
     """Time every case of the plan, print the table, write it as JSON if asked. Collective."""
+    check_file(output, comm)
     triad = Triad(comm)
     timings = [time_steps(dim, kind, plan, comm, triad) for dim in plan.dims for kind in plan.kinds]
     console.table("speed, per particle and step", SPEED, [_speed(timing) for timing in timings])
     console.table("set-up, memory, and where a step's time goes", COST, [_cost(timing) for timing in timings])
-    if output is not None and comm.rank == 0:
+    if output is not None:
         content = {"plan": plan, "timings": timings, "versions": versions()}
-        write_json(output, content)
+        on_first(comm, lambda: write_json(output, content))
     return timings
 
 

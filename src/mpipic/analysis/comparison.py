@@ -14,7 +14,9 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from mpipic import filters
+from mpipic.agreement import on_first
 from mpipic.analysis.filter_choice import Choice, svd_is_quick
+from mpipic.analysis.writing import check_file
 from mpipic.arrays import FloatArray
 from mpipic.console import Console
 from mpipic.draws import noise
@@ -146,6 +148,7 @@ def run(
     scene: Scene, choices: Sequence[Choice], comm: MPI.Comm, console: Console, output: Path | None
 ) -> list[FilterRow]:
     """Print one table, and write it as JSON if asked. Collective."""
+    check_file(output, comm)
     comparison = Comparison(scene, comm)
     rows = [comparison.row(choice) for choice in choices]
     share = comparison.unfiltered_share
@@ -157,7 +160,7 @@ def run(
     console.table("filters on this scene's particles, one application", HEADER, [_entries(row) for row in rows])
     for note in filter(None, map(_note, rows)):
         console.message(note)
-    if output is not None and comm.rank == 0:
+    if output is not None:
         content = {
             "scene": scene.to_dict(),
             "ranks": comm.size,
@@ -168,7 +171,7 @@ def run(
             "filters": rows,
             "versions": versions(),
         }
-        write_json(output, content)
+        on_first(comm, lambda: write_json(output, content))
     return rows
 
 

@@ -17,7 +17,9 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
+from mpipic.agreement import on_first
 from mpipic.analysis.recurrence import Recurrence, find
+from mpipic.analysis.writing import make_folder
 from mpipic.arrays import FloatArray
 from mpipic.console import Console
 from mpipic.errors import NotConverged
@@ -293,7 +295,7 @@ def report(growth: Growth, scene: Scene) -> list[tuple[str, str]]:
     """Return the result as (name, value) lines."""
 
     def when(step: float | None) -> str:
-        return "never: nothing grows" if step is None else f"about step {step:,.0f}, t = {step * scene.dt:.4g}"
+        return "never, as nothing grows" if step is None else f"at about step {step:,.0f}, t = {step * scene.dt:.4g}"
 
     bound = growth.norm_bound
     return [
@@ -302,19 +304,19 @@ def report(growth: Growth, scene: Scene) -> list[tuple[str, str]]:
         ("period", f"{growth.period_steps} steps; {growth.unknowns} unknowns, by {growth.solver}"),
         ("eigenvalue", f"{growth.eigenvalue[0]:.8g} {growth.eigenvalue[1]:+.8g} i, residual {growth.residual:.1e}"),
         ("mode", f"wave {list(growth.wave)}, {100 * growth.null_space_share:.3g} % in the null space"),
-        ("noise", f"reaches the solution's size at {when(growth.noise_step)}"),
-        ("blow-up", f"|ρ| passes {scene.time.blow_up:g} times its start at {when(growth.blow_up_step)}"),
+        ("noise", f"reaches the solution's size {when(growth.noise_step)}"),
+        ("blow-up", f"|ρ| passes {scene.time.blow_up:g} times its start {when(growth.blow_up_step)}"),
     ]
 
 
 def run(scene: Scene, comm: MPI.Comm, console: Console, output: Path | None, most_steps: int) -> Growth:
     """Analyse, print, and write stability.json into the folder `output`. Collective."""
+    if output is not None:
+        make_folder(output, comm)
     growth = analyse(scene, comm, most_steps)
     console.banner(report(growth, scene))
     folder = output or RunDirectory.default(f"{scene.name}-stability", comm)
-    if comm.rank == 0:
-        folder.mkdir(parents=True, exist_ok=True)
-        content = {**asdict(growth), "scene": scene.to_dict(), "versions": versions()}
-        write_json(folder / "stability.json", content)
+    content = {**asdict(growth), "scene": scene.to_dict(), "versions": versions()}
+    on_first(comm, lambda: write_json(folder / "stability.json", content))
     console.message(f"results in {folder}")
     return growth

@@ -16,7 +16,9 @@ import numpy as np
 from mpi4py import MPI
 
 from mpipic import filters
+from mpipic.agreement import on_first
 from mpipic.analysis.filter_choice import Choice
+from mpipic.analysis.writing import make_folder
 from mpipic.arrays import FloatArray
 from mpipic.console import Console
 from mpipic.errors import Refused
@@ -117,21 +119,25 @@ def run(
     scene: Scene, choices: Sequence[Choice], comm: MPI.Comm, console: Console, output: Path, plot: bool, phase: float
 ) -> None:
     """Measure, print a table, write spectrum.csv and spectrum.png into the folder `output`. Collective."""
+    make_folder(output, comm)
     points = measure(scene, choices, comm, phase)
     labels = list(dict.fromkeys(point.filter for point in points))
     for direction in dict.fromkeys(point.direction for point in points):
         rows = _rows(points, direction, labels)
         if rows:
             console.table(f"kept of a wave along {direction}", ("λ/h", *labels), rows)
-    if comm.rank == 0:
-        output.mkdir(parents=True, exist_ok=True)
-        lines = ((p.direction, p.wave, p.lambda_over_h, p.filter, p.kept) for p in points)
-        write_csv(output / "spectrum.csv", COLUMNS, lines)
-        if plot:
-            from mpipic.plots.spectra import draw_spectrum
-
-            draw_spectrum(output / "spectrum.png", _curves(points), f"{scene.name}: what one application keeps")
+    on_first(comm, lambda: _write(output, points, f"{scene.name}: what one application keeps" if plot else None))
     console.message(f"spectra of {len(labels)} filters in {output}")
+
+
+def _write(output: Path, points: Sequence[Kept], title: str | None) -> None:
+    """Write the points as CSV, and draw them under a title if there is one. Local."""
+    lines = ((p.direction, p.wave, p.lambda_over_h, p.filter, p.kept) for p in points)
+    write_csv(output / "spectrum.csv", COLUMNS, lines)
+    if title is not None:
+        from mpipic.plots.spectra import draw_spectrum
+
+        draw_spectrum(output / "spectrum.png", _curves(points), title)
 
 
 def _curves(points: Sequence[Kept]) -> list[Curve]:

@@ -15,16 +15,19 @@ from time import perf_counter
 import numpy as np
 from mpi4py import MPI
 
+from mpipic.agreement import on_first
 from mpipic.analysis.growth import NOISE, Growth, analyse
 from mpipic.analysis.trial_cases import CASES, Case
+from mpipic.analysis.writing import check_file
 from mpipic.arrays import FloatArray
 from mpipic.console import Console
-from mpipic.errors import NotConverged
+from mpipic.errors import NotConverged, Refused
 from mpipic.files import write_json
 from mpipic.run.diagnostics import ErrorReport, norms
 from mpipic.run.facts import versions
 from mpipic.run.loop import Outcome, Simulation
 from mpipic.scene.records import Scene, SceneError
+from mpipic.wording import listed, show
 
 AGREE = 0.05
 """Growth rates of run and prediction may differ by this share."""
@@ -193,6 +196,9 @@ def run(
     cases = [case for case in CASES if case.short or not short]
     if only:
         cases = [case for case in cases if any(part in case.name for part in only)]
+        if not cases:
+            raise Refused(f"no case {'of the short form ' * short}has {listed(map(show, only), 'or')} in its name")
+    check_file(output, comm)
     judged = []
     for case in cases:
         judged.append(judge(case, comm))
@@ -202,9 +208,9 @@ def run(
     for item in bad:
         console.fail(f"{item.case}: {item.reason}")
     console.message(f"{len(judged) - len(bad)} good, {len(bad)} bad, in {sum(j.seconds for j in judged):.0f} s")
-    if output is not None and comm.rank == 0:
+    if output is not None:
         content = {"ranks": comm.size, "cases": judged, "versions": versions()}
-        write_json(output, content)
+        on_first(comm, lambda: write_json(output, content))
     return judged
 
 

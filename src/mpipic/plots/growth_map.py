@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from matplotlib.collections import QuadMesh
     from matplotlib.colors import Normalize
 
-FLOOR = 1e-9
-"""Growth below this is drawn as none: eigenvalues are no more accurate."""
+FLOOR, LARGEST = 1e-9, 1e9
+"""Growth below is drawn as none, as eigenvalues are no more accurate; growth above, like this."""
 
 
 @dataclass(frozen=True)
@@ -42,8 +42,8 @@ def draw_map(
     """
     from matplotlib.colors import LogNorm
 
-    largest = max([float(np.max(values, where=np.isfinite(values), initial=0.0)) for values in growth.values()])
-    norm = LogNorm(FLOOR, max(largest, 10 * FLOOR))
+    largest = max([float(np.max(values, where=~np.isnan(values), initial=0.0)) for values in growth.values()])
+    norm = LogNorm(FLOOR, min(max(largest, 10 * FLOOR), LARGEST))
     with picture(path, (2.2 + 3.1 * len(growth), 3.9)) as figure:
         panels = figure.subplots(1, len(growth), sharey=True, squeeze=False)[0]
         for panel, (label, values) in zip(panels, growth.items(), strict=True):
@@ -55,9 +55,10 @@ def draw_map(
 
 
 def _draw_panel(panel: Axes, x: Scale, y: Scale, growth: FloatArray, norm: Normalize, border: float) -> QuadMesh:
-    shown = np.maximum(growth, FLOOR)
+    shown = np.clip(growth, FLOOR, LARGEST)
+    known = shown[~np.isnan(shown)]
     drawn = panel.pcolormesh(x.values, y.values, shown.T, norm=norm, cmap="cividis", shading="nearest")
-    if min(growth.shape) > 1 and np.nanmin(growth) < border < np.nanmax(growth):
+    if min(growth.shape) > 1 and known.size and known.min() < border < known.max():
         levels = [float(np.log10(border))]
         panel.contour(x.values, y.values, np.log10(shown).T, levels=levels, colors=ORANGE, linewidths=2)
     i, j = np.nonzero(np.isnan(growth))
