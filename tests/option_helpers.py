@@ -55,7 +55,7 @@ def outcomes(comm: MPI.Intracomm) -> list[tuple[Named[str, str], str, float]]:
     reference = ExactFilter(mapping, 1e-13).apply(q)
     found = []
     for given in types():
-        with options(**given):
+        with options(**given, filter_ksp_max_it="500"):
             try:
                 off = ExactFilter(mapping, TOLERANCE).apply(q) - reference
                 size = math.sqrt(comm.allreduce(float(off @ off)) / comm.allreduce(float(q @ q)))

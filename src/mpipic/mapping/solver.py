@@ -142,12 +142,12 @@ class GramSolver:
             ksp.setType(PETSc.KSP.Type.CG)
             ksp.setNormType(PETSc.KSP.NormType.NATURAL)
             ksp.setTolerances(self.tolerance / np.sqrt(columns), 0.0, 1e100, self.most_iterations)
-            ksp.setComputeSingularValues(True)
             pc = ksp.getPC()
             pc.setType(PETSc.PC.Type.PYTHON)
             pc.setPythonContext(self.preconditioner)
             ksp.setOperators(matrix)
             configure(ksp, matrix)
+            ksp.setComputeSingularValues(_knows_its_spectrum(ksp))
             x, b = matrix.createVecs()
             self._systems[columns] = _System(ksp, matrix, x, b, ksp.getTolerances()[0])
         return self._systems[columns]
@@ -277,9 +277,10 @@ class GramSolver:
     def _note(self, ksp: PETSc.KSP) -> None:
         """Keep what a solve found out, or raise NotConverged."""
         self.iterations = max(self.iterations, int(ksp.getIterationNumber()))
-        largest, smallest = ksp.computeExtremeSingularValues()
-        if largest > 0.0:  # not without an iteration, nor by every method
-            self.smallest = min(self.smallest, float(smallest))
+        if _knows_its_spectrum(ksp):
+            largest, smallest = ksp.computeExtremeSingularValues()
+            if largest > 0.0:  # not without an iteration
+                self.smallest = min(self.smallest, float(smallest))
         if ksp.getConvergedReason() < 0:
             reasons = {
                 value: name for name, value in vars(PETSc.KSP.ConvergedReason).items() if name.startswith("DIVERGED")
@@ -290,3 +291,8 @@ class GramSolver:
                 f"{ksp.getIterationNumber()} iterations ({why.lower()}); asked for is {self.tolerance:g} of the "
                 "right-hand side's norm"
             )
+
+
+def _knows_its_spectrum(ksp: PETSc.KSP) -> bool:
+    """Return whether PETSc can be asked for Ritz values: of other methods some crash (fcg of PETSc 3.18)."""
+    return bool(ksp.getType() == PETSc.KSP.Type.CG)
