@@ -40,7 +40,7 @@ def hat_matrices(n, h, x):
 
 def tensor(factors):
     """Row by row the tensor product of (particles, n_a) arrays, last axis fastest: (particles, Π n_a)."""
-    return reduce(lambda a, b: (a[:, :, None] * b[:, None, :]).reshape(len(a), -1), factors)
+    return reduce(lambda a, b: (a[:, :, None] * b[:, None, :]).reshape(len(a), a.shape[1] * b.shape[1]), factors)
 
 
 class Dense:

@@ -112,7 +112,9 @@ def _begin_petsc() -> None:
 
 def _end_petsc() -> None:
     """End PETSc while Python lives: what an error has left half made would call back into it later, and crash."""
-    petsc = sys.modules.get("petsc4py.PETSc")
+    objects, petsc = (sys.modules.get(name) for name in ("mpipic.mesh.petsc_objects", "petsc4py.PETSc"))
+    if objects is not None:  # imported before `start`, it would be asked too late
+        objects.close_all()
     if petsc is not None:
         petsc._finalize()
 

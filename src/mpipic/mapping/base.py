@@ -199,9 +199,8 @@ class NodalMapping(ABC):
     def complete(self, sums: FloatArray) -> FloatArray:
         """Return nodal sums made right on own and ghost nodes, in place: one halo sum, one fill. Collective."""
         self.phase("halo")
-        if sums.size:
-            self.grid.nodes.add(sums)
-            self.grid.nodes.fill(sums)
+        self.grid.nodes.add(sums)
+        self.grid.nodes.fill(sums)
         self.phase("nodes")
         return sums
 

@@ -203,7 +203,9 @@ class Grid:
         Raises ValueError naming the first that is not in the box. Local.
         """
         cell = self.cell_of(coordinate)
-        outside = (cell < 0) | (cell >= np.array(self.cells))
+        with np.errstate(invalid="ignore"):
+            below = ~(np.reshape(coordinate, cell.shape) >= -np.array(self.tolerance))
+        outside = below | (cell < 0) | (cell >= np.array(self.cells))
         if outside.any():
             first = int(np.argmax(outside.any(axis=1)))
             at = np.asarray(coordinate)[first].tolist()

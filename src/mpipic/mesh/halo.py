@@ -17,6 +17,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from mpipic.arrays import FloatArray
+from mpipic.mesh.petsc_objects import close_at_exit
 
 Nodes = npt.NDArray[Any]
 """Nodal arrays of any numbers."""
@@ -87,6 +88,12 @@ class Halo:
         self._find(cells, starts, sizes, (width, width) if reach is None else reach)
         self._forest = self._join(1)
         self._forests = {1: self._forest}
+        close_at_exit(self)
+
+    def close(self) -> None:
+        """Give PETSc's objects back; no exchange after this. Collective."""
+        for forest in self._forests.values():
+            forest.destroy()
 
     def _find(
         self,
@@ -178,6 +185,7 @@ class Halo:
 
     def _exchange(self, begin: Exchange, end: Exchange, how: MPI.Op, arrays: Sequence[FloatArray]) -> None:
         self.exchanges += len(arrays)
+        arrays = [array for array in arrays if array.size]  # values without components have nothing to send
         for array in arrays:
             begin(self._unit(array), array, array, how)
         for array in arrays:

@@ -34,9 +34,10 @@ def close_at_exit(holder: Closable) -> None:
 
 
 @atexit.register
-def _end() -> None:
-    for made in _made:
-        holder = made()
+def close_all() -> None:
+    """Close every holder that still lives, once: before PETSc ends. Collective."""
+    while _made:
+        holder = _made.pop(0)()
         if holder is not None:
             holder.close()
     if MPI.COMM_WORLD.size == 1:

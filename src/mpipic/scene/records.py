@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from mpipic import parts
+from mpipic.arguments import told
 from mpipic.files import Unreadable, read_text
 from mpipic.parts import Part, Values
 from mpipic.scene.checks import check
@@ -115,7 +116,14 @@ class Scene:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], overrides: Sequence[str] = (), name: str = "scene") -> Scene:
-        """Make a scene from sections of keys and values, as `to_dict` returns them; see `load`. Not modified."""
+        """Make a scene from sections of keys and values, as `to_dict` returns them; see `load`. Not modified.
+
+        NumPy's numbers, truth values, text and arrays count as Python's.
+        """
+        if not isinstance(data, Mapping):
+            raise TypeError(f"data must be sections by name, each of values by key, not {told(data)}")
+        if isinstance(overrides, str):
+            raise TypeError(f"overrides must be a list of texts such as 'filter.kind=none', not {told(overrides)}")
         problems: list[Problem] = []
         merged = with_absolute_paths(apply_overrides(data, overrides, problems), Path())
         values, unused = check(merged, problems)
