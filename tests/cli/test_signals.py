@@ -177,7 +177,7 @@ def interrupt(processes: list[subprocess.Popen[str]], number: signal.Signals, ra
     """Send the signal to one process after the other, each at another point of its way, and judge the ends."""
     for delay, process in enumerate(processes):
         time.sleep(APART if delay else 0.0)
-        wait_until(listen(process, ranks), process)
+        wait_until(listen(process, ranks), process, timeout=30.0)
         process.send_signal(number)
     for process in processes:
         ended = finish(process, 30.0)

@@ -7,6 +7,7 @@ import sys
 import numpy as np
 import pytest
 from mpi4py import MPI
+from petsc4py import PETSc
 
 from helpers import environment, finish, mpipic_here, start
 from mpipic.filters.measures import share_unseen
@@ -53,11 +54,13 @@ def test_a_bad_value_is_refused_with_its_key_and_what_is_wrong(prefix: str) -> N
         for value in values:
             given = {prefix + name: value or None}
             given |= {prefix + other: word for other, word in NEEDED.get(name, {}).items()}
-            with options(**given):
-                code, said = check(*SCENES[prefix])
             shown = f'-{prefix}{name} "{value}": ' if value else f"-{prefix}{name}: "
-            assert code == 2 and f"error: PETSc option {shown}" in said, (given, said)
-            assert petsc_options.TRIAL not in said
+            with options(**given), pytest.raises(petsc_options.BadOption) as refused:
+                petsc_options.check({f"{prefix}ksp": PETSc.KSP}, MPI.COMM_SELF)
+            said = str(refused.value)
+            assert f"PETSc option {shown}" in said and petsc_options.TRIAL not in said, given
+    with options(**{f"{prefix}ksp_rtol": "abc"}):
+        assert check(*SCENES[prefix])[0] == 2
 
 
 def test_all_that_is_wrong_is_said_at_once_with_choices_and_the_nearest() -> None:
