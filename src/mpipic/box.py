@@ -18,8 +18,13 @@ NOT_FINITE = "is not finite"
 TOO_FAR = "is so far away that its digits do not tell its cell"
 
 
+def is_inside(position: FloatArray, length: Sequence[float]) -> bool:
+    """Return whether all positions (n, d) are in the box. O(n)."""
+    return all(bool(((x >= 0.0) & (x < size)).all()) for x, size in zip(position.T, length, strict=True))
+
+
 def wrap(position: FloatArray, length: Sequence[float]) -> FloatArray:
-    """Return positions (n, d) in the box, 0 <= x < length on every axis; a copy.
+    """Return positions (n, d) in the box, 0 <= x < length on every axis.
 
     Those in the box keep every bit. The upper face is the lower one, and so is what lies below 0 by so little that
     rounding puts it on the upper face: -1e-17 in a box of length 1. Not finite: NaN.

@@ -93,7 +93,7 @@ class Filter(FilterPart, ABC):
 
         def say(known: dict[str, Any]) -> Said:
             words = ", ".join(f"{name} {value!r}" for name, value in known.items())
-            return Said([zlib.crc32(words.encode())], words)
+            return Said([zlib.crc32(words.encode())], lambda: words)
 
         verb = type(self).__name__
         self.settings, _ = together(mapping.grid.comm, verb, lambda: checked_settings(type(self), settings), say)

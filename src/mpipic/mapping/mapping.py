@@ -101,7 +101,7 @@ class Mapping(NodalMapping):
 
         def say(found: tuple[IntArray, FloatArray, FloatArray | None]) -> Said:
             weighted = found[2] is not None
-            return Said((float(weighted),), "weights" if weighted else "no weights", len(found[0]) > 0)
+            return Said((float(weighted),), lambda: "weights" if weighted else "no weights", len(found[0]) > 0)
 
         (self._cell, self._fraction, own), (weighted,) = together(self.grid.comm, verb, check, say)
         self._weight = own if len(self._cell) else np.empty(0) if weighted else None

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import TypeVar
+from functools import lru_cache
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from mpi4py import MPI
 
 from mpipic.arguments import RealArray, told
+from mpipic.arrays import FloatArray
 
 FACTS = 12
 """Room for the numbers that ranks compare: the verb, how many there are, and these."""
@@ -25,8 +26,7 @@ KINDS = [np.dtype(code) for code in "?bhilqBHILQefdg"]
 Found = TypeVar("Found")
 
 
-@dataclass(frozen=True)
-class Said:
+class Said(NamedTuple):
     """Tells what one rank brings to a collective verb.
 
     Attributes
@@ -34,13 +34,13 @@ class Said:
     facts : at most FACTS - 2 numbers
         They must be the same on all ranks that bind.
     words
-        The same for a message.
+        Says the same in a message, if it comes to one.
     binds
         Whether the rank has a say: one without particles follows the others.
     """
 
     facts: Sequence[float] = ()
-    words: str = ""
+    words: Callable[[], str] = str
     binds: bool = True
 
 
@@ -64,12 +64,12 @@ def agree(comm: MPI.Comm, verb: str, said: Said | Exception) -> tuple[float, ...
             raise _named(0, said) from None
         return tuple(said.facts)
     failed = isinstance(said, Exception)
-    facts = () if isinstance(said, Exception) else said.facts
-    tag = float(zlib.crc32(verb.encode()))
-    known = [tag, float(len(facts)), *facts, *[0.0] * (FACTS - 2 - len(facts))]
-    binding = [*known, *[-x for x in known]] if not isinstance(said, Exception) and said.binds else NO_SAY
-    numbers = np.array([float(failed), -tag, *known, *binding])
+    facts, binds = ((), False) if isinstance(said, Exception) else (tuple(said.facts), said.binds)
+    sent = _numbers(verb, facts, binds, failed)
+    numbers = sent.copy()
     comm.Allreduce(MPI.IN_PLACE, numbers, op=MPI.MAX)
+    if binds and numbers.tobytes() == sent.tobytes():
+        return facts
     found = numbers.tolist()
     loose, high, low = found[2 : 2 + FACTS], found[2 + FACTS : 2 + 2 * FACTS], found[2 + 2 * FACTS :]
     bound = high[0] > -np.inf
@@ -77,6 +77,14 @@ def agree(comm: MPI.Comm, verb: str, said: Said | Exception) -> tuple[float, ...
         _raise(comm, verb, said)
     common = high if bound else loose
     return tuple(common[2 : 2 + int(common[1])])
+
+
+@lru_cache(maxsize=256)
+def _numbers(verb: str, facts: tuple[float, ...], binds: bool, failed: bool) -> FloatArray:
+    """Return what a rank sends; the largest of all then shows differences, since it holds numbers with either sign."""
+    tag = float(zlib.crc32(verb.encode()))
+    known = [tag, float(len(facts)), *facts, *[0.0] * (FACTS - 2 - len(facts))]
+    return np.array([float(failed), -tag, *known, *([*known, *[-x for x in known]] if binds else NO_SAY)])
 
 
 def together(
@@ -104,8 +112,11 @@ def values_together(comm: MPI.Comm, verb: str, check: Callable[[], RealArray], t
 
     def say(values: RealArray) -> Said:
         kind = float(KINDS.index(values.dtype)) if typed else 0.0
-        shape = ", ".join(["n", *map(str, values.shape[1:])]) + "," * (values.ndim == 1)
-        words = f"values of shape ({shape})" + (f" and type {values.dtype}" if typed else "")
+
+        def words() -> str:
+            shape = ", ".join(["n", *map(str, values.shape[1:])]) + "," * (values.ndim == 1)
+            return f"values of shape ({shape})" + (f" and type {values.dtype}" if typed else "")
+
         return Said((kind, *values.shape[1:]), words, len(values) > 0)
 
     values, (kind, *shape) = together(comm, verb, check, say)
@@ -126,7 +137,7 @@ def _raise(comm: MPI.Comm, verb: str, said: Said | Exception) -> None:
     if isinstance(said, Exception):
         mine = ("", str(_plain(said)), isinstance(said, TypeError))
     else:
-        mine = (verb, said.words, said.binds)
+        mine = (verb, said.words(), said.binds)
     everybody = comm.allgather(mine)
     for rank, (name, text, is_type) in enumerate(everybody):
         if not name:

@@ -23,7 +23,7 @@ from petsc4py import PETSc
 
 from mpipic.arguments import axes_of, choice, nodal_array, positions, real_number, told, whole_number
 from mpipic.arrays import FloatArray
-from mpipic.box import first_misplaced, wrap
+from mpipic.box import first_misplaced, is_inside, wrap
 from mpipic.decomposition import process_grid
 from mpipic.keys import is_normal
 from mpipic.mesh.agreement import Said, communicator, together, values_together
@@ -125,7 +125,7 @@ class Grid:
 
         def say(box: tuple[Cells, Lengths]) -> Said:
             words = f"cells {box[0]}, length {box[1]} and the {basis} basis"
-            return Said((*box[0], *box[1], list(BASES).index(basis)), words)
+            return Said((*box[0], *box[1], list(BASES).index(basis)), lambda: words)
 
         return together(self.comm, "Grid", check, say)[0]
 
@@ -228,9 +228,11 @@ class Grid:
         """Return positions (n, d) in the box, 0 <= x < length, by the rule of `mpipic.box`: axes wrap.
 
         Raises ValueError naming the first that is not finite, or so far away that its digits do not tell its cell.
-        Local; O(n).
+        Local; O(n); copied only where needed.
         """
         given = positions("position", position, self.dim)
+        if is_inside(given, self.length):
+            return given
         problem = first_misplaced("position", given, self.h)
         if problem:
             raise ValueError(problem)

@@ -69,8 +69,8 @@ class Motion:
 
         def say(steps: FloatArray) -> Said:
             if steps.ndim == 1:
-                return Said((1.0, *steps), f"one displacement {steps.tolist()}, in cells", n > 0)
-            return Said((0.0,), "a displacement for each particle", n > 0)
+                return Said((1.0, *steps), lambda: f"one displacement {steps.tolist()}, in cells", n > 0)
+            return Said((0.0,), lambda: "a displacement for each particle", n > 0)
 
         steps, (for_all, *common) = together(grid.comm, "Motion.move", check, say)
         if not n:  # the others say which

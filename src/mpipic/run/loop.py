@@ -98,7 +98,7 @@ class Simulation:
     ) -> None:
         self.scene, self.comm = scene, communicator(comm)
         self.phases = phases or Phases()
-        together(comm, "Simulation", lambda: _digest(scene), lambda digest: Said([digest], f"scene {digest:.0f}"))
+        together(comm, "Simulation", lambda: _digest(scene), _say_digest)
         self.phases("setup")
         check_ranks(scene, comm.size)
         self.physics = physics or physics_of(scene)
@@ -272,3 +272,7 @@ def _digest(scene: Scene) -> float:
     if not hasattr(scene, "values"):
         raise TypeError(f"scene must be a Scene, such as Scene.load or Scene.from_dict makes, not {told(scene)}")
     return float(zlib.crc32(repr(dict(scene.values)).encode()))
+
+
+def _say_digest(digest: float) -> Said:
+    return Said([digest], lambda: f"a scene of digest {digest:.0f}")

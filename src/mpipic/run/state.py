@@ -34,7 +34,7 @@ def agreed_state(grid: Grid, particles: Particles, coordinate: Given, state: Giv
     def say(found: NewState) -> Said:
         given = [values is not None for values in found]
         named = [name for name, there in zip(("coordinate", "state", "ids"), given, strict=True) if there]
-        return Said(list(map(float, given)), listed(named) if named else "nothing")
+        return Said(list(map(float, given)), lambda: listed(named) if named else "nothing")
 
     return together(grid.comm, "set_state", lambda: _checked(grid, particles, coordinate, state, ids), say)[0]
 
