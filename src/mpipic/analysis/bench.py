@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mpipic import parts
 from mpipic.agreement import on_first
 from mpipic.analysis.triad import Triad
 from mpipic.analysis.writing import check_file
@@ -88,10 +89,15 @@ def scene_of(dim: int, kind: str, plan: Plan) -> Scene:
         "gas": {"flow": [FLOW] * dim},
         "initial": {"profile": "plane-wave"},
         "mapping": {"basis": plan.basis},
-        "filter": {"kind": kind, **({"tolerance": plan.tolerance} if kind == "exact" else {})},
+        "filter": {"kind": kind, **({"tolerance": plan.tolerance} if _has_tolerance(kind) else {})},
         "time": {"cfl": CFL, "steps": WARM_STEPS + plan.steps * plan.repeats},
     }
     return Scene.from_dict(with_preset(data, plan.preset) if plan.preset else data, name="bench")
+
+
+def _has_tolerance(kind: str) -> bool:
+    part = parts.find("filter.kind", kind, "acoustics")
+    return part is not None and "tolerance" in part.Settings.model_fields
 
 
 def _per_axis(dim: int, per_cell: int) -> list[int]:

@@ -158,7 +158,7 @@ def run(
         f"distances from {comparison.reference}"
     )
     console.table("filters on this scene's particles, one application", HEADER, [_entries(row) for row in rows])
-    for note in filter(None, map(_note, rows)):
+    for note in filter(None, (filters.FILTERS[row.kind].in_words(row.facts) for row in rows)):
         console.message(note)
     if output is not None:
         content = {
@@ -183,14 +183,3 @@ def _entries(row: FilterRow) -> list[str]:
         row.filter, f"{row.setup_seconds:.2g}", f"{row.seconds:.2e}", str(row.messages), str(row.reductions),
         f"{row.distance:.2e}", f"{row.null_space_share:.0e}", f"{row.sum_error:.0e}",
     ]  # fmt: skip
-
-
-def _note(row: FilterRow) -> str | None:
-    """Return what the filter says about itself, in words."""
-    if row.kind == "exact":
-        return f"exact: {row.facts['iterations']} iterations to a residual of {row.facts['tolerance']:g}"
-    if row.kind == "svd":
-        from mpipic.filters.row_space import describe
-
-        return f"svd by {row.facts['solver']}: {describe(row.facts)}"
-    return None

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from mpipic import parts
-from mpipic.parts import Part
+from mpipic.parts import A_FILTER, Part
 from mpipic.scene.records import Problem, Scene, SceneError
 from mpipic.wording import closest, listed
 
@@ -50,7 +50,7 @@ def choose(texts: Sequence[str], scene: Scene, particles: int, unfiltered: bool 
     known = {one.key.split(".")[1]: one.value for one in scene.unused if one.key.startswith("filter.")}
     known |= scene.filter.to_dict()
     kinds = parts.choices(SLOT, scene.physics.kind)
-    kinds = {kind: part for kind, part in kinds.items() if kind != "none" or unfiltered}
+    kinds = {kind: part for kind, part in kinds.items() if unfiltered or part.has(A_FILTER)}
     problems: list[Problem] = []
     chosen = [_parse(name, known, kinds, problems) for name in names]
     if problems:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from mpipic.arrays import FloatArray
 from mpipic.filters.family import NodalFilter
@@ -129,6 +129,12 @@ class ExactFilter(NodalFilter):
     def facts(self) -> dict[str, object]:
         """Return the iterations of the last application, the relative residual they go to, and how it was solved."""
         return {"iterations": self.iterations, "tolerance": self.tolerance, "factorised": self.solver.factorised}
+
+    @classmethod
+    def in_words(cls, facts: Mapping[str, Any]) -> str | None:
+        """Return how the projection was solved for."""
+        how = "with a factorised matrix" if facts["factorised"] else f"in {facts['iterations']} iterations"
+        return f"{cls.kind}: solved {how}, to a residual of {facts['tolerance']:g}"
 
     def remarks(self) -> list[str]:
         """Return that the projection was uncertain, and by how much, if it was. Local."""

@@ -148,6 +148,11 @@ class Filter(FilterPart, ABC):
         """Return what the filter found out about itself at its present positions, for reports."""
         return {}
 
+    @classmethod
+    def in_words(cls, facts: Mapping[str, Any]) -> str | None:
+        """Return such facts as a sentence; None where there are none."""
+        return None
+
     def remarks(self) -> list[str]:
         """Return sentences that whoever uses results of the filter should read, if there are any. Local."""
         return []

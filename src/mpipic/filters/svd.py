@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 from mpipic.arrays import FloatArray
 from mpipic.filters.family import Filter
@@ -88,6 +89,13 @@ class SvdFilter(Filter):
     def nbytes(self) -> int:
         """Bytes of V_r on this rank."""
         return self.rows.nbytes
+
+    @classmethod
+    def in_words(cls, facts: Mapping[str, Any]) -> str | None:
+        """Return by which solver, and what it found."""
+        from mpipic.filters.row_space import describe
+
+        return f"{cls.kind} by {facts['solver']}: {describe(dict(facts))}"
 
     def facts(self) -> dict[str, object]:
         """Rank, cut, and the singular values on either side of it."""

@@ -10,6 +10,7 @@ import numpy as np
 from mpi4py import MPI
 
 from mpipic.errors import NotConverged, Refused
+from mpipic.parts import A_FILTER, NODAL_FILTER
 from mpipic.physics.acoustics.integrators import INTEGRATORS
 from mpipic.physics.acoustics.slopes import GRADIENTS
 from mpipic.physics.acoustics.step import AcousticStep
@@ -70,7 +71,8 @@ def _piece(scene: Scene) -> Scene:
     data["grid"] = {"cells": cells, "length": [h * n for h, n in zip(scene.h, cells, strict=True)]}
     data["initial"] = {"profile": "plane-wave", "wave": [1, *[0] * (scene.dim - 1)]}
     data["output"] = {}
-    if data["filter"]["kind"] == "svd":
+    keep = scene.part("filter.kind")
+    if keep.has(A_FILTER) and not keep.has(NODAL_FILTER):  # the decomposition: the same operator, at less cost
         data["filter"] = {"kind": "exact", "tolerance": DIGITS}
     for section in ("filter", "mapping"):
         if "tolerance" in data[section]:
