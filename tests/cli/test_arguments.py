@@ -15,6 +15,7 @@ import typer
 from typer.models import OptionInfo
 
 from helpers import mpipic_here
+from mpipic import memory
 from mpipic.cli import app
 from mpipic.command_numbers import Number
 from mpipic.plots.growth_map import Scale, draw_map
@@ -150,3 +151,9 @@ def test_output_that_cannot_be_written_is_refused_before_anything_is_computed(tm
         assert ended.returncode in (1, 2) and "Traceback" not in ended.stderr, (place, ended.stderr)
         assert str(place) in ended.stderr and not ended.stdout, (place, ended.stdout)
     assert (tmp_path / "file").read_text() == "kept" and len(list(tmp_path.iterdir())) == 1
+
+
+def test_more_particles_than_there_is_memory_for_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(memory, "available_bytes", lambda: 1e6)
+    ended = mpipic_here("bench", "--particles", "1e5", "--dim", "1", "--dim", "3")
+    assert ended.returncode == 2 and re.search("needs .* GB, and .* GB are free", ended.stderr), ended.stderr

@@ -116,9 +116,9 @@ def test_a_decomposition_that_does_not_fit_is_refused_and_exact_recommended(monk
     """2 r (m + n) + 6 r² numbers of 8 bytes, r = min(m, n)."""
     needed = 8 * 1000 * (2 * 5000 + 6 * 1000)
     assert bytes_needed(1000, 4000, 1) == bytes_needed(4000, 1000, 1) == needed
-    monkeypatch.setattr(singular, "available_bytes", lambda: float(needed))
+    monkeypatch.setattr(memory, "available_bytes", lambda: float(needed))
     check_memory(1000, 4000, MPI.COMM_SELF)
-    monkeypatch.setattr(singular, "available_bytes", lambda: needed - 1.0)
+    monkeypatch.setattr(memory, "available_bytes", lambda: needed - 1.0)
     with pytest.raises(TooLarge) as caught:
         check_memory(1000, 4000, MPI.COMM_SELF)
     assert str(caught.value) == (
@@ -132,7 +132,7 @@ def test_a_filter_asks_for_memory_before_it_takes_any(monkeypatch):
     cells, length = GRIDS["2D"]
     mapping = Mapping(grid_of(cells, length), pattern("random", cells, length))
     q = values(mapping.count)
-    monkeypatch.setattr(singular, "available_bytes", lambda: 1000.0)
+    monkeypatch.setattr(memory, "available_bytes", lambda: 1000.0)
     monkeypatch.setattr(singular, "_all_triplets", lambda *_: pytest.fail("it began all the same"))
     with pytest.raises(TooLarge, match=r"svd of 20 nodes and 80 particles needs about .* 1e-06 GB are free.*exact"):
         SvdFilter(mapping).apply(q)

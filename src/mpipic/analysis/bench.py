@@ -21,8 +21,11 @@ from mpipic.agreement import on_first
 from mpipic.analysis.triad import Triad
 from mpipic.analysis.writing import check_file
 from mpipic.console import Console
+from mpipic.errors import Refused
 from mpipic.files import write_json
+from mpipic.memory import free_bytes
 from mpipic.phases import Phases
+from mpipic.run.describe import rank_bytes
 from mpipic.run.facts import STEP_PHASES, versions
 from mpipic.run.loop import Simulation
 from mpipic.run.warmup import compile_loops
@@ -158,9 +161,18 @@ def _share_of_phases(phases: Phases) -> dict[str, float]:
     return {name: phases.seconds[name] / total for name in STEP_PHASES if name in phases.seconds}
 
 
+def _check_memory(plan: Plan, comm: MPI.Comm) -> None:
+    """Raise Refused on all ranks for a plan with a case that there is no memory for. Collective."""
+    scenes = [scene_of(dim, kind, plan) for dim in plan.dims for kind in plan.kinds]
+    needed, free = max(rank_bytes(s, 1, s.particle_count or 0) for s in scenes), free_bytes(comm)
+    if needed > free:
+        raise Refused(f"--particles {plan.particles}: needs {1e-9 * needed:.3g} GB, and {1e-9 * free:.3g} GB are free")
+
+
 def run(plan: Plan, comm: MPI.Comm, console: Console, output: Path | None = None) -> list[Timing]:
     """Time every case of the plan, print the table, write it as JSON if asked. Collective."""
     check_file(output, comm)
+    _check_memory(plan, comm)
     triad = Triad(comm)
     timings = [time_steps(dim, kind, plan, comm, triad) for dim in plan.dims for kind in plan.kinds]
     console.table("speed, per particle and step", SPEED, [_speed(timing) for timing in timings])

@@ -20,7 +20,7 @@ from mpipic.arrays import FloatArray
 from mpipic.errors import NotConverged
 from mpipic.filters.family import TooLarge
 from mpipic.kernels import spline
-from mpipic.memory import available_bytes
+from mpipic.memory import free_bytes
 from mpipic.mesh.petsc_options import Solver, configure, refusing
 
 if TYPE_CHECKING:
@@ -192,10 +192,7 @@ def bytes_needed(nodes: int, particles: int, ranks: int) -> float:
 
 def check_memory(nodes: int, particles: int, comm: MPI.Comm) -> None:
     """Raise TooLarge on all ranks if the decomposition needs more than what is free. Collective."""
-    here = comm.Split_type(MPI.COMM_TYPE_SHARED)
-    share = available_bytes() / here.size
-    here.Free()
-    free = float(comm.allreduce(share, op=MPI.MIN)) * comm.size
+    free = free_bytes(comm)
     needed = bytes_needed(nodes, particles, comm.size)
     if needed > free:
         raise TooLarge(
