@@ -122,7 +122,7 @@ RUNS: dict[str, tuple[list[str], list[str]]] = {
     "particles-not-hdf5": (from_file("malformed.toml"), ["malformed.toml: as HDF5, it cannot be read: "]),
     "output-taken": (
         ["--output", f"{HERE}/taken"],
-        ["taken already holds summary.json, history.csv: name another folder, or ask to overwrite"],
+        ["taken already holds summary.json, history.csv, which no run of this program left there"],
     ),
     "output-below-a-file": (["--output", f"{HERE}/malformed.toml/out"], ["cannot be used: Not a directory"]),
 }
