@@ -11,6 +11,7 @@ import os
 import re
 import shlex
 import sys
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,8 +19,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mpipic import __version__
-from mpipic.command_numbers import Number, count
+from mpipic import __version__, streams
+from mpipic.command_numbers import Number, count, to_output
 from mpipic.errors import NotConverged, Refused, WriteFailed
 from mpipic.runtime import launched, start
 
@@ -145,9 +146,7 @@ def run(
     scene: SceneFile = None,
     set_: Overrides = None,
     preset: Preset = None,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Run directory; default runs/<scene name>-<time>.")
-    ] = None,
+    output: Annotated[Path | None, to_output("Run directory; default runs/<scene name>-<time>.")] = None,
     overwrite: Annotated[bool, typer.Option(help="Replace the results of an earlier run in --output.")] = False,
     plots: Annotated[bool, typer.Option(help="Draw error.png and solution.png at the end.")] = True,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print warnings and errors only.")] = False,
@@ -202,9 +201,7 @@ def spectrum(
     scene: SceneFile = None,
     set_: Overrides = None,
     names: FilterNames = None,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Folder for spectrum.csv and .png; default runs/...")
-    ] = None,
+    output: Annotated[Path | None, to_output("Folder for spectrum.csv and .png; default runs/...")] = None,
     plots: Annotated[bool, typer.Option(help="Draw spectrum.png.")] = True,
     phase: Annotated[float, typer.Option(parser=Number(), help="Phase of the waves on node 0, in radians.")] = 0.3,
 ) -> None:
@@ -227,7 +224,7 @@ def filters(
     scene: SceneFile = None,
     set_: Overrides = None,
     names: FilterNames = None,
-    output: Annotated[Path | None, typer.Option("--output", "-o", help="Write the table as JSON too.")] = None,
+    output: Annotated[Path | None, to_output("Write the table as JSON too.")] = None,
 ) -> None:
     """Compare the filters on a scene's particles: cost, and distance from the exact projection."""
     comm = start()
@@ -244,9 +241,7 @@ def filters(
 @app.command()
 def study(
     file: Annotated[Path, typer.Argument(metavar="STUDY", help="Study file (TOML), such as configs/studies/*.toml.")],
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Folder of the results; default runs/<study name>.")
-    ] = None,
+    output: Annotated[Path | None, to_output("Folder of the results; default runs/<study name>.")] = None,
     aims: Annotated[
         list[str] | None,
         typer.Option("--recommend", metavar="AIM", help="error=1e-4: the cheapest setting; seconds=10: the best one."),
@@ -285,9 +280,7 @@ def stability(
     names: Annotated[
         list[str] | None, typer.Option("--filters", help="Panels of the map, for example local,order:2,exact.")
     ] = None,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Folder for stability.json, or the map; default runs/...")
-    ] = None,
+    output: Annotated[Path | None, to_output("Folder for stability.json, or the map; default runs/...")] = None,
 ) -> None:
     """Compute by how much a scene's scheme grows per step, and when rounding noise blows it up."""
     comm = start()
@@ -316,7 +309,7 @@ def stability(
 def trials(
     short: Annotated[bool, typer.Option("--short", help="Only the cases that take no time.")] = False,
     only: Annotated[list[str] | None, typer.Option(help="Cases whose name contains this; repeatable.")] = None,
-    output: Annotated[Path | None, typer.Option("--output", "-o", help="Write the table as JSON too.")] = None,
+    output: Annotated[Path | None, to_output("Write the table as JSON too.")] = None,
 ) -> None:
     """Run stiff and extreme cases, and judge each: a right answer, a stated end, or a refusal with a reason."""
     comm = start()
@@ -344,7 +337,7 @@ def bench(
     ] = 1e-8,
     basis: Annotated[str, typer.Option(help="linear, quadratic or cubic.")] = "linear",
     preset: Annotated[str | None, typer.Option(help="A scheme by name, in place of basis and filters.")] = None,
-    output: Annotated[Path | None, typer.Option("--output", "-o", help="Write the numbers as JSON too.")] = None,
+    output: Annotated[Path | None, to_output("Write the numbers as JSON too.")] = None,
 ) -> None:
     """Time steps against the memory bandwidth of this machine, measured in the same run."""
     comm = start()
@@ -369,8 +362,10 @@ def bench(
 
 def main() -> None:
     """Run the command line, as `mpipic` and `python -m mpipic`. Help and usage errors appear once, not once a rank."""
+    streams.settle()
     first = launched().rank == 0
     if not first:
+        warnings.simplefilter("ignore", RuntimeWarning)
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115  for the life of the process
     try:
         code = app(standalone_mode=False)

@@ -1,9 +1,11 @@
-"""Numbers on the command line: each option has a range, and says it where a number is none, or outside."""
+"""Numbers and paths on the command line: each option says what it takes where it is given something else."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import typer
 
@@ -58,3 +60,21 @@ class Number:
 def count(most: int) -> Number:
     """Return the reader of whole numbers from 1 to `most`."""
     return Number(1, most, whole=True)
+
+
+def to_output(about: str) -> Any:
+    """Return the option that names where results go, as typer takes options; `about` says what goes there."""
+    return typer.Option("--output", "-o", parser=named, help=about)
+
+
+def named(text: str) -> Path:
+    """Return the path that an option names; the empty one, which would be the working folder, names none.
+
+    Raises
+    ------
+    BadParameter
+        The text is empty.
+    """
+    if not text.strip():
+        raise typer.BadParameter("it is empty: name a folder or file, such as runs/mine, or leave the option out")
+    return Path(text)

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from types import TracebackType
 from typing import IO, TYPE_CHECKING, Protocol
 
@@ -250,9 +249,8 @@ class Console:
             table.add_column(Text(name), justify="left" if name in words else "right", no_wrap=True)
         for row in rows:
             table.add_row(*(Text(cell) for cell in row))
-        with _reader_may_leave(self._loud):
-            self._loud.print(table)
-            self._loud.file.flush()
+        self._loud.print(table)
+        self._loud.file.flush()
 
 
 def duration(seconds: float) -> str:
@@ -283,13 +281,9 @@ def _launcher_writes_elsewhere(stderr: bool) -> bool:
 def _rich_console(file: IO[str] | None, stderr: bool) -> RichConsole:
     from rich.console import Console
 
-    class Rich(Console):
-        def on_broken_pipe(self) -> None:  # rich's own ends the process
-            _print_nowhere(self.file)
-
-    console = Rich(file=file, stderr=stderr, highlight=False)
+    console = Console(file=file, stderr=stderr, highlight=False)
     if not console.is_terminal or (file is None and _launcher_writes_elsewhere(stderr)):
-        console = Rich(
+        console = Console(
             file=file, stderr=stderr, highlight=False, width=LOG_WIDTH, color_system=None, force_terminal=False
         )
     return console
@@ -297,24 +291,8 @@ def _rich_console(file: IO[str] | None, stderr: bool) -> RichConsole:
 
 def _print(console: RichConsole, text: str, style: str | None = None) -> None:
     """Print text as it is; long lines are left to the terminal."""
-    with _reader_may_leave(console):
-        console.print(text, markup=False, highlight=False, soft_wrap=True, emoji=False, style=style)
-        console.file.flush()
-
-
-@contextmanager
-def _reader_may_leave(console: RichConsole) -> Iterator[None]:
-    """Let a run outlive whoever reads its output: after a broken pipe, what is printed goes nowhere."""
-    try:
-        yield
-    except BrokenPipeError:
-        _print_nowhere(console.file)
-
-
-def _print_nowhere(file: IO[str]) -> None:
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, file.fileno())
-    os.close(nowhere)
+    console.print(text, markup=False, highlight=False, soft_wrap=True, emoji=False, style=style)
+    console.file.flush()
 
 
 def _now() -> float:

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 ANNOUNCED = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "MV2_COMM_WORLD_SIZE")
+SLURM_RANK, SLURM_TASKS = "SLURM_PROCID", "SLURM_STEP_NUM_TASKS"
+"""Variables that srun sets in its tasks; a batch script without srun has the first of them only."""
 LAUNCHED = (
     "OMPI_COMM_WORLD_", "OMPI_MCA_orte_", "OMPI_MCA_ess", "OMPI_MCA_pmix", "OMPI_MCA_initial_wdir", "OMPI_APP_CTX",
     "OMPI_MCA_mpi_oversubscribe", "OMPI_UNIVERSE", "OMPI_NUM_APP", "OMPI_FIRST", "OMPI_FILE", "OMPI_COMMAND",
@@ -42,6 +44,8 @@ def settle() -> None:
     """
     for name in THREADS:
         os.environ.setdefault(name, "1")
+    if os.path.expanduser("~") == "~":  # a user that the system does not know: Open MPI dies of a home that is none
+        os.environ["HOME"] = "/"
     # Debian's h5py otherwise loads its serial build, also where it is asked for parallel files
     os.environ.setdefault("H5PY_ALWAYS_USE_MPI", "1")
     # PETSc would end the run with a report of its own when a reader of the output goes away (`mpipic run | head`)
@@ -62,6 +66,10 @@ def launched() -> Launched:
         next((int(os.environ[name]) for name in names if os.environ.get(name, "").isdigit()), default)
         for names, default in ((RANKS, 0), (ANNOUNCED, 1))
     )
+    if not any(name in os.environ for name in (*RANKS, *ANNOUNCED)):
+        step = [os.environ.get(name, "") for name in (SLURM_RANK, SLURM_TASKS)]
+        if all(word.isdigit() for word in step) and int(step[1]) > 1:
+            rank, size = map(int, step)
     return Launched(rank, size)
 
 
@@ -87,6 +95,14 @@ def start() -> MPI.Intracomm:
                     f"this mpiexec does not belong to the MPI that mpi4py uses ({library})\n"
                 )
             raise SystemExit(1)
+    if comm.size == 1 and launched().size > 1:
+        if launched().rank == 0:
+            sys.stderr.write(
+                f"error: srun started {launched().size} tasks ({SLURM_TASKS}), but MPI sees one process in each: they "
+                "would write over each other; start them by mpiexec, or by srun --mpi=pmix (srun --mpi=list names "
+                f"others), or, if copies are meant, each by: env -u {SLURM_TASKS} ...\n"
+            )
+        raise SystemExit(1)
     if comm.size > 1:
         sys.excepthook = _abort_all
     _begin_petsc()

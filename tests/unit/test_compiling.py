@@ -57,11 +57,31 @@ def test_the_user_names_the_folder_of_compiled_loops(package: Path) -> None:
     assert list((package / "named").rglob("*.nbi")) and not (package / "cache").exists()
 
 
-def test_a_folder_that_cannot_be_written_to_costs_time_and_a_warning_only(package: Path) -> None:
+def test_without_a_writable_home_loops_are_kept_in_a_private_temporary_folder(package: Path) -> None:
     (package / "cache").write_text("a file where the folder would be")
-    first, *warning = run(package, LOCATE).splitlines()
+    (package / "temporary").mkdir()
+    for counts in (["2", "0", "1"], ["2", "1", "0"]):
+        first, *warning = run(package, LOCATE, TMPDIR=str(package / "temporary")).splitlines()
+        assert first.split() == counts
+        assert sum("compiled loops are kept in" in line and "NUMBA_CACHE_DIR" in line for line in warning) == 1
+    (private,) = (package / "temporary").iterdir()
+    assert private.stat().st_mode & 0o777 == 0o700
+    private.chmod(0o777)
+    first, *warning = run(package, LOCATE, TMPDIR=str(package / "temporary")).splitlines()
+    assert first.split() == ["2", "0", "1"], "what others may write to is not used"
+    assert any("compiled loops are not kept" in line and "open to others" in line for line in warning)
+
+
+def test_a_cache_that_takes_no_more_or_is_damaged_costs_time_and_a_warning_only(package: Path) -> None:
+    full = LOCATE.replace("cell,", "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))\ncell,", 1)
+    first, *warning = run(package, full).splitlines()
     assert first.split() == ["2", "0", "1"]
-    assert any("compiled loops are not kept" in line for line in warning)
+    assert sum("compiled loops are not kept" in line and "File too large" in line for line in warning) == 1
+    run(package, LOCATE)
+    for kept in (package / "cache").rglob("*.nb?"):
+        kept.write_bytes(kept.read_bytes()[:40])
+    assert run(package, LOCATE).split() == ["2", "0", "1"]
+    assert run(package, LOCATE).split() == ["2", "1", "0"], "and is mended"
 
 
 HOST = """

@@ -10,19 +10,17 @@ the files that it calls into, so the folder's name carries a digest of all of th
 stale callers. `NUMBA_CACHE_DIR` and `NUMBA_SLP_VECTORIZE` have their usual meaning.
 """
 
-import hashlib
 import os
-import tempfile
-import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from pathlib import Path
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import numpy as np
 from numba import config, njit
 from numba.core.compiler import Compiler
 from numba.core.compiler_lock import global_compiler_lock
+
+from mpipic.kernels.kept import Kept, find_folder
 
 U = np.uintp
 
@@ -51,23 +49,7 @@ class LoopCompiler(Compiler):
             return super().compile_extra(func)
 
 
-def _find_cache() -> str:
-    """Return the folder of compiled loops; nothing, with a warning, if it cannot be written to."""
-    sources = b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))
-    chosen, cache = os.environ.get("NUMBA_CACHE_DIR"), os.environ.get("XDG_CACHE_HOME")
-    base = Path(chosen) if chosen else Path(cache) if cache else Path.home() / ".cache"
-    folder = base / "mpipic" / hashlib.sha256(sources).hexdigest()[:16]
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=folder).close()
-    except OSError as error:
-        advice = "every start takes longer; NUMBA_CACHE_DIR names another folder"
-        warnings.warn(f"compiled loops are not kept: {error}; {advice}", RuntimeWarning, stacklevel=2)
-        return ""
-    return str(folder)
-
-
-CACHE = _find_cache()
+CACHE = find_folder()
 
 
 def compiled(**options: object) -> Callable[[Loop], Loop]:
@@ -75,9 +57,12 @@ def compiled(**options: object) -> Callable[[Loop], Loop]:
     options = {"error_model": "numpy", "no_cfunc_wrapper": True, "pipeline_class": LoopCompiler, **options}
 
     def decorate(function: Loop) -> Loop:
-        with _numba_option("CACHE_DIR", CACHE):  # looked up here, once for each loop
-            loop: Loop = njit(cache=bool(CACHE), **options)(function)
-        return loop
+        loop = njit(**options)(function)
+        if CACHE:
+            with _numba_option("CACHE_DIR", CACHE), suppress(RuntimeError):  # a folder that has gone is no folder
+                loop._cache = Kept(function)
+        found: Loop = loop
+        return found
 
     return decorate
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import fcntl
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TypedDict, cast
 
-from mpipic.errors import OutputError
-from mpipic.files import json_object, plain, to_json
+from mpipic.errors import OutputError, WriteFailed
+from mpipic.files import json_object, plain, reason, to_json, write_at
 from mpipic.study.points import Point
 
 COMPLETED, UNSTABLE, TIMEOUT, CRASHED = "completed", "unstable", "timeout", "crashed"
@@ -109,9 +110,14 @@ class Journal:
 
     def add(self, record: Record) -> None:
         """Keep a run."""
-        self._file.write((to_json(record) + "\n").encode())
-        self._file.flush()
-        os.fsync(self._file.fileno())
+        before = self._file.seek(0, os.SEEK_END)
+        try:
+            write_at(self._file.fileno(), memoryview((to_json(record) + "\n").encode()), before)
+            os.fsync(self._file.fileno())
+        except OSError as error:
+            with suppress(OSError):
+                os.ftruncate(self._file.fileno(), before)
+            raise WriteFailed(f"{self._file.name}: a run cannot be recorded: {reason(error)}") from error
         self._runs.setdefault(record["id"], {})[record["repeat"]] = cast(Record, plain(record))
 
     def forget(self, points: Sequence[Point], timeout: float, statuses: Sequence[str] = ()) -> None:
