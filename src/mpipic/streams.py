@@ -76,4 +76,7 @@ def _outlet(stream: TextIO | None, number: int) -> TextIO:
         return open(os.devnull, "w", encoding="utf-8", errors=REPLACING)
     if type(stream) is not io.TextIOWrapper or stream.fileno() != number:
         return stream
-    return Outlet(stream.buffer, stream.encoding, REPLACING, line_buffering=stream.line_buffering)
+    with suppress(OSError):
+        stream.flush()
+    own = io.BufferedWriter(io.FileIO(number, "w", closefd=False))  # whoever puts the old stream back finds it open
+    return Outlet(own, stream.encoding, REPLACING, line_buffering=stream.line_buffering)
