@@ -8,6 +8,10 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+from mpi4py import MPI
+
+from mpipic.io.apart import Apart
+from mpipic.io.particle_file import Box, ParticleFileError, Request, read_particle_file
 
 ROWS = 60
 PLAIN: dict[str, tuple[str | None, dict]] = {
@@ -122,3 +126,21 @@ def damaged(files: dict[str, Path], seed: int, count: int) -> Iterator[tuple[str
                 place = rng.randrange(size)
                 data[place] = rng.randrange(256) if way == "byte" else data[place] ^ (1 << rng.randrange(8))
         yield f"{number}: {kind}, {way} at {at}", bytes(data)
+
+
+def judge(path: Path, process: Apart, comm: MPI.Comm = MPI.COMM_SELF) -> str:
+    """Return "read", "refused", or what is wrong with what became of reading a file of `write_all`. Collective."""
+    request = Request(str(path), 2, {"density": (), "velocity": (2,)})
+    try:
+        rows = read_particle_file(request, Box((1.0, 1.0), (0.1, 0.1)), comm, process)
+    except ParticleFileError as error:
+        blind = [text for text in error.problems if not text.startswith(str(path))]
+        return f"names no file: {blind}" if blind or not error.problems else "refused"
+    except Exception as error:
+        return f"{type(error).__name__}: {error}"
+    said, values = " ".join(rows.notes), {"position": rows.position, **rows.fields}
+    for name in request.fields:
+        found = comm.allreduce(np.count_nonzero(values.get(name, 0.0)))
+        if not found and not any(f"{name} {how}" in said for how in ("is missing", "is 0 in every row")):
+            return f"{name} is lost"
+    return "read" if all(np.isfinite(each).all() for each in values.values()) else "not finite"

@@ -25,8 +25,12 @@ from mpipic.io.snapshots import ParticleSeries
 from mpipic.plots.sample import gather_sample
 from mpipic.runtime import start
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from damage_helpers import damaged, judge, write_all
+
 COMM = start()
-TOTAL = 2003
+TOTAL, DAMAGED = 2003, 80
 
 
 def owner(ids: np.ndarray, ranks: int) -> np.ndarray:
@@ -215,6 +219,21 @@ def case_read(folder: Path) -> None:
     with Lonely() as process:  # one rank's trouble is everybody's
         said = refused(Request(str(folder / "good.h5"), 1, fields), box, process)
     assert len(said) == 1 and "the file is damaged: reading it ended by SIGKILL" in said[0], said
+
+
+def case_damaged(folder: Path) -> None:
+    """Files with damage anywhere are read or refused on all ranks alike."""
+    if COMM.rank == 0:
+        for number, (_, data) in enumerate(damaged(write_all(folder), seed=11, count=DAMAGED)):
+            (folder / f"copy{number}.h5").write_bytes(data)
+    COMM.Barrier()
+    outcomes = []
+    with Apart(patience=10.0) as process:
+        for number in range(DAMAGED):
+            everywhere = COMM.allgather(judge(folder / f"copy{number}.h5", process, COMM))
+            assert everywhere in (["read"] * COMM.size, ["refused"] * COMM.size), (number, everywhere)
+            outcomes.append(everywhere[0])
+    assert min(outcomes.count("read"), outcomes.count("refused")) > DAMAGED // 5
 
 
 class Lonely(Apart):

@@ -22,7 +22,7 @@ _spec.loader.exec_module(expected)
 pytestmark = pytest.mark.mpi
 
 
-CASES = ("write", "funnel", "failure", "failure_funnel", "directory", "sample", "read")
+CASES = ("write", "funnel", "failure", "failure_funnel", "directory", "sample", "read", "damaged")
 """Those that end well: run one after the other in one start."""
 
 
@@ -33,7 +33,7 @@ def prepare(folder: Path) -> None:
     x = np.linspace(0.0, 0.9, 7)[:, None]
     with h5py.File(folder / "read" / "good.h5", "w") as file:
         file["position"], file["density"] = x, np.arange(7)
-    x[[1, 6]] = 1.5, -2.75
+    x[[1, 6], 0] = 1.5, -2.75
     with h5py.File(folder / "read" / "outside.h5", "w") as file:
         file["position"] = x
     x[[1, 6]] = np.nan

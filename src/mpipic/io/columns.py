@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import h5py
@@ -90,6 +91,7 @@ class Column:
         if self.data is None:
             return np.full((stop - start, *self.shape), self.value * self.unit)
         with reading(self.where):
+            _refuse_lost_chunks(self.data, start, stop, self.where)
             rows = np.asarray(self.data[start:stop]).astype(np.float64)
         with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is found by whoever judges values
             return rows if self.unit == 1.0 else rows * self.unit
@@ -181,6 +183,19 @@ def _unwritten(data: h5py.Dataset) -> str:
         return _lost(data, [made.get_external(k)[0].decode() for k in range(made.get_external_count())])
     text = f"{held} of the {declared} bytes of its shape {data.shape}"
     return "" if held == declared else f"holds {text}: the others were never written"
+
+
+def _refuse_lost_chunks(data: h5py.Dataset, start: int, stop: int, where: str) -> None:
+    """Raise for chunks of these rows that the file's index does not lead to: HDF5 would read zeros."""
+    if not data.chunks:
+        return
+    first = start // data.chunks[0] * data.chunks[0]
+    corners = [range(first, stop, data.chunks[0])]
+    corners += [range(0, size, step) for size, step in zip(data.shape[1:], data.chunks[1:], strict=True)]
+    for corner in product(*corners):
+        found = data.id.get_chunk_info_by_coord(corner)
+        if not found.byte_offset or not found.size:
+            raise ParticleFileError(f"{where} is damaged: the file does not lead to its numbers from row {corner[0]}")
 
 
 def _unmapped(data: h5py.Dataset) -> str:

@@ -94,6 +94,8 @@ class Part:
     rows: dict[str, FloatArray] = field(default_factory=dict)
     ids: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     found: Findings = field(default_factory=dict)
+    used: set[str] = field(default_factory=set)
+    """Names of quantities that are not 0 in every row."""
     outside: Outside = field(default_factory=Outside)
 
 
@@ -141,16 +143,18 @@ def _take(request: Request, box: Box, comm: MPI.Comm, process: Apart | None, kee
     finally:
         if process is None:
             own.close()
-    everywhere = comm.allgather((part.problems, part.found, part.outside))
+    everywhere = comm.allgather((part.problems, part.found, part.outside, part.used))
     path = escape(request.path)
-    problems = list(dict.fromkeys(text for texts, _, _ in everywhere for text in texts))
-    problems += sentences(path, merge(found for _, found, _ in everywhere))
+    problems = list(dict.fromkeys(text for texts, *_ in everywhere for text in texts))
+    problems += sentences(path, merge(found for _, found, *_ in everywhere))
     if problems or part.head is None:
         raise ParticleFileError(*problems)
     twice = repeated(part.ids, part.start, comm) if ID in part.head.names else ""
     if twice:
         raise ParticleFileError(f'{path}: {twice}; particles.records = ["{ID}="] numbers them by row')
-    notes = [*part.head.notes, *said_outside(path, [one for _, _, one in everywhere], part.head.rows, box.length)]
+    notes = [*part.head.notes, *said_outside(path, [one for *_, one, _ in everywhere], part.head.rows, box.length)]
+    idle = set(part.head.names) & set(request.fields) - set[str]().union(*(used for *_, used in everywhere))
+    notes += [f"{path}: {name} is 0 in every row" for name in sorted(idle)]
     position = part.rows.pop(POSITION)
     return ParticleRows(part.ids, position, part.rows, notes)
 
@@ -177,6 +181,8 @@ def _add(part: Part, piece: Piece, box: Box, keep: bool) -> None:
     """Judge a piece and, if wanted, keep it."""
     for name, values in piece.values.items():
         merge_into(part.found, find_broken(name, values, piece.start, box.h))
+        if np.count_nonzero(values):
+            part.used.add(name)
         span = slice(piece.start - part.start, piece.start - part.start + len(values))
         if name == POSITION:
             count_outside(part.outside, values, box.length)
