@@ -75,7 +75,7 @@ class DirectSolver:
         self._version, self._nodes, self._shift = -1, 0, SHIFTS[0]
         self._moves, self._least = 0, np.nan
         self._owned: tuple[PETSc.Object, ...] = ()
-        close_at_exit(self)
+        close_at_exit(self, mapping.grid.comm)
 
     def close(self) -> None:
         """Give PETSc's objects back. Collective; may be called twice."""

@@ -122,7 +122,7 @@ class GramSolver:
         self._earlier: dict[Hashable, Series] = {}
         self._systems: dict[int, _System] = {}
         self._entries = PETSc.Options(prefix).getString("pc_type", "python") not in ENTRIES_NOT_NEEDED
-        close_at_exit(self)
+        close_at_exit(self, mapping.grid.comm)
 
     def close(self) -> None:
         """Give PETSc's objects back; no `solve` after this. Collective."""

@@ -88,7 +88,7 @@ class Halo:
         self._find(cells, starts, sizes, (width, width) if reach is None else reach)
         self._forest = self._join(1)
         self._forests = {1: self._forest}
-        close_at_exit(self)
+        close_at_exit(self, comm)
 
     def close(self) -> None:
         """Give PETSc's objects back; no exchange after this. Collective."""

@@ -64,7 +64,6 @@ class ShellSolver:
         self._shell: PETSc.Mat
         self._x: PETSc.Vec
         self._b: PETSc.Vec
-        close_at_exit(self)
 
     def close(self) -> None:
         """Give PETSc's objects back. Collective."""
@@ -113,6 +112,8 @@ class ShellSolver:
         changed = self.ksp is None or self._b.getLocalSize() != own
         if not grid.reduce(np.array([float(changed)]))[0]:
             return self.ksp
+        if self.ksp is None:
+            close_at_exit(self, grid.comm)
         self.close()
         self._shell = PETSc.Mat().createPython(((own, None), (own, None)), _Product(self), comm=grid.comm)
         self._x, self._b = self._shell.createVecs()
