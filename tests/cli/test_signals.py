@@ -175,15 +175,20 @@ def listen(process: subprocess.Popen[str], ranks: int) -> Callable[[], bool]:
 
 def interrupt(processes: list[subprocess.Popen[str]], number: signal.Signals, ranks: int = 1) -> None:
     """Send the signal to one process after the other, each at another point of its way, and judge the ends."""
-    for delay, process in enumerate(processes):
-        time.sleep(APART if delay else 0.0)
-        wait_until(listen(process, ranks), process, timeout=30.0)
-        process.send_signal(number)
-    for process in processes:
-        ended = finish(process, 30.0)
-        said = (process.args, ended.returncode, ended.stderr)
-        assert ended.returncode == 130 and "Traceback" not in ended.stderr and "rror" not in ended.stderr, said
-        assert ended.stderr.count("interrupted") <= 1, said
+    try:
+        for delay, process in enumerate(processes):
+            time.sleep(APART if delay else 0.0)
+            wait_until(listen(process, ranks), process, timeout=30.0)
+            process.send_signal(number)
+        for process in processes:
+            ended = finish(process, 30.0)
+            said = (process.args, ended.returncode, ended.stderr)
+            assert ended.returncode == 130 and "Traceback" not in ended.stderr and "rror" not in ended.stderr, said
+            assert ended.stderr.count("interrupted") <= 1, said
+    finally:
+        for process in processes:
+            if process.poll() is None:
+                end(process)
 
 
 @pytest.mark.parametrize("number", SIGNALS[:2])
