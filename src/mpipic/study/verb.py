@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from mpipic.console import Console, duration
-from mpipic.errors import OutputError
-from mpipic.files import write_json, write_text
+from mpipic.errors import OutputError, WriteFailed
+from mpipic.files import reason, write_json, write_text
 from mpipic.plots.work_precision import draw_work_precision
 from mpipic.scene.records import Problem, SceneError
 from mpipic.study import report
@@ -56,7 +56,7 @@ def run(
     fresh, retry : forget every run of before, or those that failed
     command : what reproduces the study, for its page
 
-    Raises SceneError or OutputError before anything runs.
+    Raises SceneError or OutputError before anything runs; WriteFailed when the disk fails, with the runs so far kept.
     """
     wanted = parse_aims(aims)
     study = _load(path, console)
@@ -67,12 +67,14 @@ def run(
         write_scenes(folder, study.points)
         finished = _run_all(study, folder, journal, console)
         runs = [journal.of(point) for point in study.points]
+    except OSError as error:
+        raise WriteFailed(f"{error.filename or folder} cannot be written: {reason(error)}") from error
     finally:
         journal.close()
     rows = sum_up(study, runs)
-    _write(study, folder, rows, runs, command)
     _say(study, rows, console)
     _warn_of_mixture(runs, console)
+    _write(study, folder, rows, runs, command)
     for aim, value in wanted:
         console.message(recommend(rows, aim, value, folder))
     console.message(f"results in {folder}")
