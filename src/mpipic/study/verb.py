@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 
 from mpipic.console import Console, duration
@@ -62,15 +63,10 @@ def run(
     study = _load(path, console)
     folder = output or Path("runs") / (study.name.strip(".") or "study")
     journal = _open(folder, fresh)
-    try:
+    with closing(journal):
         journal.forget(study.points, study.settings.timeout, FAILED if retry else ())
-        write_scenes(folder, study.points)
         finished = _run_all(study, folder, journal, console)
         runs = [journal.of(point) for point in study.points]
-    except OSError as error:
-        raise WriteFailed(f"{error.filename or folder} cannot be written: {reason(error)}") from error
-    finally:
-        journal.close()
     rows = sum_up(study, runs)
     _say(study, rows, console)
     _warn_of_mixture(runs, console)
@@ -132,6 +128,7 @@ def _run_all(study: Study, folder: Path, journal: Journal, console: Console) -> 
     console.message(f"{study.title}: {len(study.points)} points, {len(due)} of {total} runs to do, results in {folder}")
     failed: set[str] = set()
     try:
+        write_scenes(folder, study.points)
         with interruptible():
             for number, (point, repeat) in enumerate(due, 1):
                 if point.id in failed:
@@ -141,6 +138,8 @@ def _run_all(study: Study, folder: Path, journal: Journal, console: Console) -> 
                 if record["status"] != COMPLETED:
                     failed.add(point.id)
                 console.message(f"[{number}/{len(due)}] {point.label}, run {repeat}: {_outcome(record, study)}")
+    except OSError as error:
+        raise WriteFailed(f"{error.filename or folder} cannot be written: {reason(error)}") from error
     except KeyboardInterrupt:
         _clear(folder)
         return False
