@@ -160,3 +160,15 @@ def test_a_run_goes_on_from_its_own_snapshot_to_the_last_bit(tmp_path: Path, cel
     for name in ("density", "velocity"):
         np.testing.assert_array_equal(again[name][back], straight.particles[name][order])
     np.testing.assert_array_equal(again.position[back], straight.particles.position[order])
+
+
+@pytest.mark.parametrize("box", [([1000], [2e-5]), ([96, 7], [35.8569, 3.14159])])
+def test_positions_of_a_snapshot_come_back_to_the_last_bit_in_any_box(tmp_path: Path, box: tuple[list, list]) -> None:
+    table = {"grid": {"cells": box[0], "length": box[1]}, "particles": {"layout": "random", "per_cell": [20]}}
+    drawn = Simulation(Scene.from_dict(table), MPI.COMM_SELF).particles
+    with h5py.File(tmp_path / "p.h5", "w") as file:
+        file["position"], file["id"] = drawn.position, drawn.ids
+    table["particles"] = {"layout": "file", "path": str(tmp_path / "p.h5")}
+    again = Simulation(Scene.from_dict(table), MPI.COMM_SELF).particles
+    order, back = np.argsort(drawn.ids), np.argsort(again.ids)
+    assert np.array_equal(again.position[back], drawn.position[order])

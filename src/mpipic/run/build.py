@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+import numpy as np
 from mpi4py import MPI
 
 import mpipic.run.parts  # noqa: F401  all that scenes can name
@@ -119,7 +120,21 @@ def _read_particles(scene: Scene, grid: Grid, particles: Particles) -> tuple[Int
     with _of_the_scene():
         rows = read_particle_file(_request(scene, particles.shapes), Box(grid.length, grid.h), grid.comm)
     _say(rows.notes, grid.comm)
-    return rows.ids, grid.coordinate_of(rows.position), particles.state_of(rows.fields, len(rows.ids))
+    return rows.ids, _coordinate_at(grid, rows.position), particles.state_of(rows.fields, len(rows.ids))
+
+
+def _coordinate_at(grid: Grid, position: FloatArray) -> FloatArray:
+    """Return coordinates in cells whose positions are those given to the last bit, where there are any. Local.
+
+    Positions divided by the spacing are rounded twice, and may end a quantum beside the coordinate they were made of.
+    """
+    coordinate, inside, h = grid.coordinate_of(position), grid.in_box(position), np.array(grid.h)
+    last = np.array(grid.cells) - np.array(grid.tolerance)
+    for step in (np.array(grid.quantum), -np.array(grid.quantum)):
+        other = coordinate + step
+        better = (np.maximum(coordinate, 0.0) * h != inside) & (other * h == inside) & (other >= 0.0) & (other < last)
+        coordinate = np.where(better, other, coordinate)
+    return coordinate
 
 
 def check_particles(scene: Scene, comm: MPI.Comm) -> None:
