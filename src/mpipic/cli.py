@@ -306,6 +306,23 @@ def stability(
 
 
 @app.command()
+def paper(
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="Folder of the page; default runs/...")] = None,
+    long: Annotated[bool, typer.Option("--long", help="Run the local filter until it fails, too.")] = False,
+    overwrite: Annotated[bool, typer.Option(help="Replace an earlier paper.html and its figures.")] = False,
+) -> None:
+    """Draw the paper's figures anew, and hold its claims against numbers, on one page."""
+    comm = start()
+    with _stating(comm):
+        from mpipic.analysis.growth import analyse
+        from mpipic.console import Console
+        from mpipic.figures import verb
+
+        scene = _load(None, ["filter.kind=none"], comm)
+        verb.run(verb.plan_of(scene, long), analyse, comm, Console(comm), output, overwrite)
+
+
+@app.command()
 def trials(
     short: Annotated[bool, typer.Option("--short", help="Only the cases that take no time.")] = False,
     only: Annotated[list[str] | None, typer.Option(help="Cases whose name contains this; repeatable.")] = None,

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import base64
 import tomllib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 
-from jinja2 import Environment, StrictUndefined
-
+from mpipic.page import embedded, fill
 from mpipic.scene.text import write_toml
 from mpipic.study.file import Study
 from mpipic.study.points import differing
@@ -48,12 +45,12 @@ class TableRow:
 
 def page(study: Study, rows: Sequence[Row], origin: Origin, picture: Path) -> str:
     """Return the page, with the picture in it."""
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    source = resources.files("mpipic.study").joinpath(TEMPLATE).read_text("utf-8")
-    return environment.from_string(source).render(
+    return fill(
+        "mpipic.study",
+        TEMPLATE,
         study=study,
         norm=study.settings.error.replace(".", " "),
-        image=base64.b64encode(picture.read_bytes()).decode(),
+        image=embedded(picture),
         points=_points(rows),
         orders=[_order(order) for order in orders(rows)],
         origin=origin,

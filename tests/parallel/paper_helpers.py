@@ -1,0 +1,20 @@
+"""Draws the paper on a small grid, on however many ranks: the folder is the only argument."""
+
+import sys
+from pathlib import Path
+
+from mpipic.runtime import start
+
+comm = start()
+
+import mpipic  # noqa: E402
+from mpipic.analysis.growth import analyse  # noqa: E402
+from mpipic.console import Console  # noqa: E402
+from mpipic.figures import verb  # noqa: E402
+from mpipic.figures.plan import Plan  # noqa: E402
+
+scene = mpipic.Scene.from_dict(
+    {"grid": {"cells": [16]}, "gas": {"flow": [0.5]}, "filter": {"kind": "none"}, "time": {"cfl": 0.2}}
+)
+plan = Plan(scene, (0, 5, 20, 40), (8, 16), (100, 200), long_steps=200)
+verb.run(plan, analyse, comm, Console(comm, quiet=True), Path(sys.argv[1]), overwrite=False)
