@@ -137,6 +137,7 @@ def euler_step(kind, sweep, rates, settings=None):
         slopes = UnfilteredSlopes(sweep, work)
     else:
         filter_ = make(kind, sweep) if settings is None else FILTERS[kind](sweep, **settings)
+        filter_.strict = False  # as in a run
         slopes = FilteredSlopes(sweep, work, filter_)
     scheme = Scheme(LumpedMass(sweep), slopes, Symplectic(), Damping(), work)
     return AcousticStep(sweep, gas_of(rates), 1.0, scheme)
@@ -145,6 +146,8 @@ def euler_step(kind, sweep, rates, settings=None):
 def plain_step(kind, mapping, rates, flow=()):
     """The paper's step on particle values, for any filter."""
     keep = None if kind == "none" else make(kind, mapping)
+    if keep is not None:
+        keep.strict = False
     return ReferenceStep(mapping, gas_of(rates, flow), 1.0, ParticleScheme(LumpedMass(mapping), Symplectic(), keep))
 
 

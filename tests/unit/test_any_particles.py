@@ -53,6 +53,7 @@ flows = st.tuples(*3 * [st.floats(-3.0, 3.0)])
 numbers = np.random.default_rng(0).standard_normal((500, 4))
 lone = ((3,), (1.0,), np.array([[np.nextafter(1.0, 0.0)]]))
 corner = ((1, 2, 1), (1.0, 1e6, 0.3), np.zeros((2, 3)))
+nearly_one = ((1, 1, 2), (1.0, 1.0, 1.0), np.array([[0.0, 0.0, 0.5 * (k == 8)] for k in range(9)]))
 
 
 @settings(max_examples=400)
@@ -108,6 +109,7 @@ def test_a_sweep_of_any_particles_is_that_of_the_dense_matrices(case):
 @given(particles_in_boxes(), kinds, flows)
 @example(lone, "local", (0.5, 0.0, 0.0))
 @example(corner, "none", (1.0, -1.0, 1e-11))
+@example(nearly_one, "exact", (0.0, 0.0, 0.5))
 def test_steps_of_any_particles_stay_finite_and_in_the_box(case, kind, flow):
     """Steps so short that no scheme can grow: values stay near where they started."""
     cells, length, position = case
