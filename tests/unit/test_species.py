@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -172,3 +174,11 @@ def test_positions_of_a_snapshot_come_back_to_the_last_bit_in_any_box(tmp_path: 
     again = Simulation(Scene.from_dict(table), MPI.COMM_SELF).particles
     order, back = np.argsort(drawn.ids), np.argsort(again.ids)
     assert np.array_equal(again.position[back], drawn.position[order])
+
+
+def test_writing_snapshots_counts_as_output(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nodal means are made before, in phases of their own."""
+    monkeypatch.setattr("mpipic.io.snapshots.ParticleSeries.write", lambda *a: time.sleep(0.05))
+    scene = Scene.from_dict({"grid": {"cells": [8]}, "time": {"steps": 2}, "output": {"every": 1}})
+    assert run(scene, MPI.COMM_SELF, tmp_path / "out", False, Console(MPI.COMM_SELF, quiet=True), False) == 0
+    assert json.loads((tmp_path / "out" / "summary.json").read_text())["seconds"]["phases"]["output"] >= 0.15

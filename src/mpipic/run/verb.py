@@ -82,7 +82,9 @@ class Recorder:
             from mpipic.io.snapshots import ParticleSeries
 
             self._series = ParticleSeries(self._directory.path / PARTICLES, simulation.comm, scene)
-        self._series.write(step, time, scene.dt, simulation.particles, simulation.grid, simulation.physics.nodal())
+        nodal = simulation.physics.nodal()
+        simulation.phases("output")
+        self._series.write(step, time, scene.dt, simulation.particles, simulation.grid, nodal)
 
     def progress(self, step: int, time: float) -> None:
         """Show how far the run is; rank 0's clock, the peak at the last look at all ranks."""
