@@ -43,10 +43,24 @@ def test_one_and_two_ranks_leave_the_same_numbers(folders: dict[int, Path], name
 
 
 @pytest.mark.mpi
+def test_one_and_two_ranks_leave_the_same_maps(folders: dict[int, Path]) -> None:
+    one, two = (list(csv.DictReader((folders[ranks] / "maps.csv").read_text().splitlines())) for ranks in (1, 2))
+    assert len(one) == len(two) == 4 * (2 * 3 + 2) and {row["filter"] for row in one} >= {"svd", "local"}
+    for row, other in zip(one, two, strict=True):
+        words, numbers = list(row)[:2], list(row)[2:]
+        assert [row[name] for name in words] == [other[name] for name in words]
+        for name in numbers:
+            found, again = (float(it[name]) if it[name] else -1.0 for it in (row, other))
+            assert found == pytest.approx(again, rel=1e-6, abs=1e-9), (row, name)
+    assert {row["last_good_step"] == "" for row in one} == {True, False}
+    assert all((row["error"] == "") == row["part"].startswith("dimensions") for row in one)
+
+
+@pytest.mark.mpi
 def test_the_page_holds_every_picture_and_a_verdict_on_every_claim(folders: dict[int, Path]) -> None:
     page = (folders[2] / "paper.html").read_text("utf-8")
     images = re.findall(r'src="data:image/png;base64,([^"]+)"', page)
-    pictures = [(folders[2] / f"{name}.png").read_bytes() for name in [*FIGURES, "costs"]]
+    pictures = [(folders[2] / f"{name}.png").read_bytes() for name in [*FIGURES, "costs", "map-steps", "map-errors"]]
     assert [base64.b64decode(image) for image in images] == pictures
     assert not re.search(r'(src|href)="(?!data:)', page)
     claims, verdicts = page.count("<blockquote>"), re.findall(r'class="verdict ([a-z-]+)"', page)

@@ -9,10 +9,12 @@ import pytest
 from mpi4py import MPI
 
 from dense_helpers import Dense, close, run_euler
+from mpipic.analysis.growth import analyse
 from mpipic.figures import claims
 from mpipic.figures.costs import Cost, exponent
 from mpipic.figures.gradients import gradient_columns, share, sign_changes, spread_in_cells
-from mpipic.figures.plan import Plan
+from mpipic.figures.maps import holding, points
+from mpipic.figures.plan import Plan, Survey
 from mpipic.figures.waves import failing_step, misprint_errors, wave_columns
 from mpipic.plots.paper import WAVE, draw_wave
 from run_helpers import scene_of
@@ -78,6 +80,34 @@ def test_a_long_run_finds_the_step_at_which_it_fails():
     failed = failing_step(fast, 20_000, MPI.COMM_SELF)
     assert failed is not None and failed > 1000
     assert failing_step(fast, failed - 100, MPI.COMM_SELF) is None
+
+
+def dense_growth(kind, flow, cfl, cells=4):
+    """Growth per step of two lattice particles a cell, from the eigenvalues of one period of dense steps."""
+    position, dt = (np.arange(2.0 * cells)[:, None] + 0.5) / (2 * cells), cfl / cells
+    period = round(1 / (flow * cfl))  # one cell on
+    one = np.eye(4 * cells)
+    columns = [
+        run_euler((cells,), (1.0,), position, unit[: 2 * cells], unit[2 * cells :, None], (flow * dt,), (dt, dt), kind,
+                  period)
+        for unit in one
+    ]  # fmt: skip
+    matrix = np.array([np.concatenate([density, velocity[:, 0]]) for _, density, velocity in columns]).T
+    shift = np.kron(np.eye(2), np.roll(np.eye(2 * cells), 2, axis=0))
+    return np.abs(np.linalg.eigvals(shift @ matrix)).max() ** (1 / period) - 1
+
+
+def test_growth_of_a_map_is_that_of_dense_matrices():
+    survey = Survey((0.5,), (2,), (0.2,), cells=4, error_cells=8, boxes=())
+    found = points(SCENE, survey, analyse, MPI.COMM_SELF)
+    kinds = {"unfiltered": "none", "svd": "svd", "local": "local", "order 2": "order"}
+    assert len(found) == 12
+    for point in found:
+        if point.part != "random":
+            assert point.growth == pytest.approx(dense_growth(kinds[point.filter], 0.5, 0.2), abs=1e-9)
+            assert 0.0 < point.error < 1.0
+    counted = holding(found, 10**15)
+    assert sum(of for _, of in counted.values()) == 12 > sum(good for good, _ in counted.values())
 
 
 # ---------------------------------------------------------------- verdicts

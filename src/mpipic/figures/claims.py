@@ -239,8 +239,8 @@ def cost(measured: Sequence[Cost]) -> Claim:
             " nodes)"
             for kind in powers
         },
-        verdict(powers["svd"] > 1.5 > powers["local"], powers["svd"] > 2.5),
-        "confirmed if p of the svd is above 2.5 and that of the local filter below 1.5; with a limit if p is above 1.5",
+        verdict(powers["svd"] > 1.5 > powers["local"], 2.5 <= powers["svd"] <= 3.5),
+        "confirmed if p of the svd is 2.5 to 3.5, and the local filter's below 1.5; with a limit if only above 1.5",
         "n = 2m particles, so m²n + n³ is m³ in the limit; only the part V_r is computed here. exact is the svd's "
         "operator by a Krylov solve.",
     )

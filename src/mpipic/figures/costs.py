@@ -61,6 +61,7 @@ def _seconds(scene: Scene, kind: str, cells: int) -> float:
 
 
 def exponent(measured: Sequence[Cost], kind: str) -> float:
-    """Return p of seconds ~ nodes^p between the two largest grids: smaller ones show what a call costs."""
-    first, last = sorted((one for one in measured if one.filter == kind), key=lambda one: one.nodes)[-2:]
-    return float(np.log(last.seconds / first.seconds) / np.log(last.nodes / first.nodes))
+    """Return p of seconds ~ nodes^p by least squares over the three largest grids, free of what a call costs."""
+    largest = sorted((one.nodes, one.seconds) for one in measured if one.filter == kind)[-3:]
+    nodes, seconds = np.log(largest).T
+    return float(np.polyfit(nodes, seconds, 1)[0])

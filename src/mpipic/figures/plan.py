@@ -52,6 +52,27 @@ Analyse = Callable[["Scene", "MPI.Comm", int], Growth]
 
 
 @dataclass(frozen=True)
+class Survey:
+    """The settings that are tried: flows in units of the sound speed, particles per cell, CFL numbers, and grids.
+
+    Growth is computed on the `cells`, errors at the time `until` on `error_cells`; `boxes` are of several dimensions.
+
+    Every flow brings the particles back to the same places of the grid within `most` steps.
+    """
+
+    flows: Sequence[float] = (0.0, 0.1, 0.25, 0.5, 1.0, 2.0)
+    per_cell: Sequence[int] = (1, 2, 4, 8)
+    cfls: Sequence[float] = (0.1, 0.2, 0.4, 0.8)
+    cells: int = 8
+    error_cells: int = 32
+    box_flow: float = 1.0
+    boxes: Sequence[tuple[int, ...]] = ((4,), (4, 4), (3, 3, 3))
+    cfl: float = 0.2
+    until: float = 0.5
+    most: int = 200
+
+
+@dataclass(frozen=True)
 class Plan:
     """Says what is computed.
 
@@ -63,16 +84,19 @@ class Plan:
         At which the waves are drawn; increasing.
     svd_cells, cells
         Grids on which the svd, and the other filters, are timed.
+    survey
+        The settings away from the scene's that are tried.
     long_steps
         Steps that the local filter takes to find out where it fails; 0 for none.
     """
 
     scene: Scene
     steps: Sequence[int] = (0, 700, 1000, 5000)
-    svd_cells: Sequence[int] = (50, 100, 200, 400, 800)
+    svd_cells: Sequence[int] = (50, 100, 200, 400)
     cells: Sequence[int] = (4000, 16000, 64000, 256000)
     long_steps: int = 0
     most_period: int = 1000
+    survey: Survey = field(default_factory=Survey)
     filters: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: FILTERS)
 
     @property
@@ -103,11 +127,12 @@ def with_values(scene: Scene, **sections: Mapping[str, Any]) -> Scene:
 def spread(comm: MPI.Comm, jobs: Mapping[str, Callable[[], object]]) -> dict[str, object]:
     """Return the results of jobs that take one process each, by name, on all ranks; None where one did not converge.
 
-    Collective: every rank does its share, in turn.
+    Collective: every rank does its share, dealt to and fro.
     """
     mine: dict[str, object] = {}
     for number, (name, job) in enumerate(jobs.items()):
-        if number % comm.size == comm.rank:
+        turn, place = divmod(number, comm.size)
+        if comm.rank == (comm.size - 1 - place if turn % 2 else place):
             try:
                 mine[name] = job()
             except NotConverged:

@@ -16,6 +16,7 @@ from mpipic.figures import claims
 from mpipic.figures.claims import Claim
 from mpipic.figures.costs import Cost, costs
 from mpipic.figures.gradients import gradient_columns, share
+from mpipic.figures.maps import Point, points
 from mpipic.figures.plan import GROWING, Analyse, Growth, Plan, spread, with_filter
 from mpipic.figures.waves import failing_step, misprint_errors, rms, wave_columns
 
@@ -37,6 +38,8 @@ class Results:
         Growth of the scene by filter, those that were found.
     costs
         Timings, of one process.
+    survey
+        Points of the wider question.
     failed
         The step at which the local filter failed in the long run; None without one, or if it did not.
     """
@@ -45,6 +48,7 @@ class Results:
     waves: Mapping[int, Columns]
     growth: Mapping[str, Growth]
     costs: Sequence[Cost]
+    survey: Sequence[Point]
     failed: int | None
 
 
@@ -61,11 +65,13 @@ def compute(plan: Plan, analyse: Analyse, comm: MPI.Comm, console: Console) -> R
     })  # fmt: skip
     timed = cast("list[Cost]", alone.pop("costs"))
     growth = {label: cast("Growth", found) for label, found in alone.items() if found is not None}
+    console.message("maps: filters against flow, particles per cell, CFL and layout")
+    survey = points(plan.scene, plan.survey, analyse, comm)
     failed = None
     if plan.long_steps:
         console.message(f"the local filter, up to {plan.long_steps:,} steps")
         failed = failing_step(with_filter(plan.scene, {"kind": "local"}), plan.long_steps, comm)
-    return Results(gradients, waves, growth, timed, failed)
+    return Results(gradients, waves, growth, timed, survey, failed)
 
 
 def judge(plan: Plan, results: Results) -> list[Claim]:

@@ -18,6 +18,7 @@ from mpipic.errors import OutputError
 from mpipic.figures.claims import Claim
 from mpipic.figures.costs import TIMED, exponent
 from mpipic.figures.gradients import COLUMNS
+from mpipic.figures.map_files import ERRORS, STEPS, tables, write_maps
 from mpipic.figures.plan import Analyse, Plan
 from mpipic.figures.results import Results, compute, judge, scene_text
 from mpipic.files import write_csv, write_text
@@ -94,12 +95,16 @@ def _write(folder: Path, plan: Plan, results: Results, judged: Sequence[Claim], 
     shown = [*_write_gradients(folder, results), *_write_waves(folder, plan, results), _write_costs(folder, results)]
     mine = {one.name: [claim for claim in judged if _figure_of(claim) == one.name] for one in shown}
     figures = [replace(one, claims=mine[one.name], image=embedded(folder / f"{one.name}.png")) for one in shown]
+    write_maps(folder, plan.survey, results.survey)
     page = fill(
         "mpipic.figures",
         TEMPLATE,
         claims=judged,
         figures=figures,
         others=[claim for claim in judged if _figure_of(claim) not in mine],
+        maps=[embedded(folder / f"{name}.png") for name in (STEPS, ERRORS)],
+        survey=plan.survey,
+        tables=tables(results.survey, plan.last),
         command=_command(plan, int(str(facts["ranks"]))),
         facts=facts,
         scene=scene_text(plan.scene),
@@ -162,4 +167,4 @@ def _write_costs(folder: Path, results: Results) -> Shown:
     draw_costs(folder / "costs.png", title, lines)
     rows = ((one.filter, one.nodes, one.seconds) for one in results.costs)
     write_csv(folder / "costs.csv", ("filter", "nodes", "seconds"), rows)
-    return Shown("costs", title, "", "Exponents are slopes between the two largest grids, on one process.", ())
+    return Shown("costs", title, "", "Exponents are those of the three largest grids, on one process.", ())

@@ -55,7 +55,9 @@ def draw_wave(path: Path | str, title: str, x: FloatArray, exact: FloatArray, wa
         panel.plot(x[order], exact[order], color=BLACK, lw=1.4, label="exact", zorder=5)
         for label, values in waves.items():
             colour, dashes = WAVE_COLOURS.get(label, COLOURS[2]), "--" if label == "local" else "-"
-            panel.plot(x[order], _clipped(values[order]), color=colour, ls=dashes, lw=1.2, label=_said(label, values))
+            fits = bool(np.all((values >= WAVE[0]) & (values <= WAVE[1])))
+            panel.plot(x[order], _clipped(values[order]), color=colour, ls=dashes, lw=1.6 if fits else 0.7,
+                       zorder=4 if fits else 2, label=_said(label, values))  # fmt: skip
         panel.set(xlabel="position x", ylabel="density ρ", ylim=WAVE, xlim=(float(x.min()), float(x.max())))
         panel.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
         figure.suptitle(title, fontsize=11)
