@@ -1,5 +1,6 @@
 """What README shows must work as it stands there; so must the examples of the other documents."""
 
+import csv
 import re
 
 import pytest
@@ -57,12 +58,19 @@ def test_the_guide_leads_to_a_run_of_particles_of_ones_own(tmp_path, monkeypatch
     (tmp_path / "mine.toml").write_text(scene, encoding="utf-8")
     text = guide.read_text(encoding="utf-8")
     commands = [line.split() for line in re.findall(r"^    \./run (.*mine\.toml.*)$", text, flags=re.MULTILINE)]
-    assert [words[0] for words in commands] == ["check", "filters", "run", "run", "run"]
+    assert [words[0] for words in commands] == ["check", "filters", "stability", "stability", "run", "run", "run"]
+    commands.pop(3)  # half a minute
     for words in commands:
         finished = mpipic_here(*words, *(["--no-plots"] if words[0] == "run" else []))
         assert finished.returncode == 0, finished.stderr
+        if words[0] == "stability":
+            (growth,) = re.findall(r"^growth +(\S+)", finished.stdout, flags=re.MULTILINE)
+            assert f"| local | {float(growth):.3e} |".replace("e-03", "e-3") in text
     for name in ("local", "exact", "recommended"):
         assert (tmp_path / "runs" / name / "particles.h5").exists()
+        with (tmp_path / "runs" / name / "history.csv").open(newline="") as file:
+            largest = float(list(csv.DictReader(file))[-1]["max_density"])
+        assert re.search(rf"^\| {name} \|.*\| {largest:.3g} \|$", text, flags=re.MULTILINE), (name, largest)
 
 
 def test_the_guide_quotes_the_messages_of_wrong_keys():
