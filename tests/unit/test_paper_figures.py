@@ -77,9 +77,9 @@ def test_equation_7_is_right_with_the_sign_that_is_not_printed():
 
 def test_a_long_run_finds_the_step_at_which_it_fails():
     fast = scene_of(grid={"cells": [16]}, filter={"kind": "none"})
-    failed = failing_step(fast, 20_000, MPI.COMM_SELF)
+    failed = failing_step(fast, 20_000)
     assert failed is not None and failed > 1000
-    assert failing_step(fast, failed - 100, MPI.COMM_SELF) is None
+    assert failing_step(fast, failed - 100) is None
 
 
 def dense_growth(kind, flow, cfl, cells=4):

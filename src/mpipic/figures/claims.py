@@ -152,7 +152,7 @@ def noise_at(step: int, errors: Mapping[str, float], figure: int) -> Claim:
         {f"error, {name}": number(error) for name, error in errors.items()},
         verdict(errors["unfiltered"] > 3.0 * errors["svd"]),
         "confirmed if the error without filter is three times that of the svd",
-        "The noise grows from rounding: its size at this step differs between machines and numbers of ranks.",
+        "The noise grows from rounding: its size at this step differs between machines.",
         figure=figure,
     )
 

@@ -70,7 +70,8 @@ def compute(plan: Plan, analyse: Analyse, comm: MPI.Comm, console: Console) -> R
     failed = None
     if plan.long_steps:
         console.message(f"the local filter, up to {plan.long_steps:,} steps")
-        failed = failing_step(with_filter(plan.scene, {"kind": "local"}), plan.long_steps, comm)
+        scene = with_filter(plan.scene, {"kind": "local"})
+        failed = cast("int | None", spread(comm, {"": partial(failing_step, scene, plan.long_steps)})[""])
     return Results(gradients, waves, growth, timed, survey, failed)
 
 

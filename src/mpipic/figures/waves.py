@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from mpi4py import MPI
 
 from mpipic.arrays import FloatArray
-from mpipic.figures.plan import Plan, with_filter
+from mpipic.errors import NotConverged
+from mpipic.figures.plan import Plan, spread, with_filter
 from mpipic.plots.sample import gather_sample
 from mpipic.run.build import solution_of
 from mpipic.run.loop import Simulation
@@ -21,30 +23,43 @@ LOOK = 100
 
 
 def wave_columns(plan: Plan, comm: MPI.Comm) -> dict[int, dict[str, FloatArray]]:
-    """Return by step x, exact and the density under each filter at all particles by id, on all ranks. Collective."""
+    """Return by step x, exact and the density under each filter at all particles by id, on all ranks.
+
+    Collective: ranks share the filters, so that a figure has the same bits, noise too, on any number of ranks.
+    """
+    runs = spread(comm, {label: partial(_run, plan, label) for label in plan.filters})
     found: dict[int, dict[str, FloatArray]] = {step: {} for step in plan.steps}
-    for label, settings in plan.filters.items():
-        simulation = Simulation(with_filter(plan.scene, settings), comm)
-        with np.errstate(over="ignore", invalid="ignore"):
-            for step in range(plan.last + 1):
-                if step in found:
-                    _take(found[step], label, simulation, step * plan.scene.dt)
-                if step < plan.last:
-                    simulation.physics.step()
-        simulation.close()
+    for label, columns in runs.items():
+        if columns is None:
+            raise NotConverged(f"the filter {label} did not converge in {plan.last} steps")
+        for step, one in cast("dict[int, dict[str, FloatArray]]", columns).items():
+            found[step] |= one
     return found
 
 
-def _take(columns: dict[str, FloatArray], label: str, simulation: Simulation, time: float) -> None:
-    """Put the density by id, and with the first filter positions and exact values, into a figure's columns."""
-    sample = simulation.comm.bcast(gather_sample(simulation.particles, simulation.comm, 1 << 30))
+def _run(plan: Plan, label: str) -> dict[int, dict[str, FloatArray]]:
+    """Return by step x, exact and the density under one filter, by id. Local."""
+    simulation = Simulation(with_filter(plan.scene, plan.filters[label]), MPI.COMM_SELF)
+    found = {}
+    with np.errstate(over="ignore", invalid="ignore"):
+        for step in range(plan.last + 1):
+            if step in plan.steps:
+                found[step] = _columns(simulation, label, step * plan.scene.dt)
+            if step < plan.last:
+                simulation.physics.step()
+    simulation.close()
+    return found
+
+
+def _columns(simulation: Simulation, label: str, time: float) -> dict[str, FloatArray]:
+    """Return x, exact and the density now, by id."""
+    sample = gather_sample(simulation.particles, simulation.comm, 1 << 30)
     assert sample is not None
     position = np.asarray(sample["position"], dtype=np.float64)
-    if not columns:
-        exact = simulation.physics.exact(position, time)
-        assert exact is not None
-        columns |= {"x": position[:, 0], "exact": np.asarray(exact["density"])}
-    columns[label] = np.asarray(sample["density"], dtype=np.float64)
+    exact = simulation.physics.exact(position, time)
+    assert exact is not None
+    density = np.asarray(sample["density"], dtype=np.float64)
+    return {"x": position[:, 0], "exact": np.asarray(exact["density"]), label: density}
 
 
 def rms(values: FloatArray) -> float:
@@ -53,16 +68,13 @@ def rms(values: FloatArray) -> float:
         return float(np.sqrt(np.mean(values**2))) if np.isfinite(values).all() else float("inf")
 
 
-def failing_step(scene: Scene, steps: int, comm: MPI.Comm) -> int | None:
-    """Return the step, to LOOK steps, at which |ρ| passes the scene's limit; None if it does not in `steps` steps.
-
-    Collective.
-    """
-    simulation = Simulation(scene, comm)
+def failing_step(scene: Scene, steps: int) -> int | None:
+    """Return the step, to LOOK steps, at which |ρ| passes the scene's limit, None if `steps` do not reach it. Local."""
+    simulation = Simulation(scene, MPI.COMM_SELF)
     failed = None
     for step in range(1, steps + 1):
         simulation.physics.step()
-        if step % LOOK == 0 and not comm.allreduce(simulation.physics.peak, op=MPI.MAX) <= simulation.limit:
+        if step % LOOK == 0 and not simulation.physics.peak <= simulation.limit:
             failed = step
             break
     simulation.close()
