@@ -48,6 +48,8 @@ def settle() -> None:
         os.environ["HOME"] = "/"
     # Debian's h5py otherwise loads its serial build, also where it is asked for parallel files
     os.environ.setdefault("H5PY_ALWAYS_USE_MPI", "1")
+    # for coloured messages Numba wakes colorama, if that is installed, which writes to standard output at the end
+    os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
     # PETSc would end the run with a report of its own when a reader of the output goes away (`mpipic run | head`)
     os.environ["PETSC_OPTIONS"] = f"{os.environ.get('PETSC_OPTIONS', '')} -no_signal_handler".strip()
 

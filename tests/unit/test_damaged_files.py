@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from damage_helpers import damaged, judge, write_all
-from mpipic.io.apart import Apart
+from mpipic.io.apart import Apart, Died
+from mpipic.io.particle_file import pieces
 
 COUNT = 2200
 
@@ -59,3 +60,15 @@ def fake(wrong: Exception | None) -> object:
 
     ones = np.ones((3, 2))
     return ParticleRows(np.arange(3), ones, {"density": np.zeros(3), "velocity": ones})
+
+
+@pytest.mark.parametrize("size", [1, 1 << 20])
+def test_a_process_that_has_gone_is_told_of_however_much_was_to_be_sent(tmp_path: Path, size: int) -> None:
+    good = write_all(tmp_path)["contiguous"]
+    with Apart() as process:
+        assert judge(good, process) == "read"
+        process._process.kill()
+        process._process.wait()
+        with pytest.raises(Died, match="SIGKILL"):
+            list(process.run(pieces, "x" * size, 0, 1))
+        assert judge(good, process) == "read", "another one is started"

@@ -15,6 +15,7 @@ import struct
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from typing import IO, Any
 
 from mpipic.runtime import without_launcher_variables
@@ -55,7 +56,8 @@ class Apart:
             self._process.kill()
             for stream in (self._process.stdin, self._process.stdout):
                 if stream:
-                    stream.close()
+                    with suppress(BrokenPipeError):  # of what was still to be sent to a process that has gone
+                        stream.close()
             self._process.wait()
             self._process = None
 
