@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -64,6 +65,8 @@ def fake(wrong: Exception | None) -> object:
 
 @pytest.mark.parametrize("size", [1, 1 << 20])
 def test_a_process_that_has_gone_is_told_of_however_much_was_to_be_sent(tmp_path: Path, size: int) -> None:
+    """PETSc is there, and takes a broken pipe for the end of the program."""
+    import_module("petsc4py.PETSc")
     good = write_all(tmp_path)["contiguous"]
     with Apart() as process:
         assert judge(good, process) == "read"

@@ -15,7 +15,7 @@ import struct
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from typing import IO, Any
 
 from mpipic.runtime import without_launcher_variables
@@ -28,6 +28,17 @@ LENGTH = struct.Struct("<Q")
 
 Task = Callable[..., Iterator[Any]]
 """A generator function at the top of a module, which both processes can import."""
+
+
+@contextmanager
+def _unsignalled() -> Iterator[None]:
+    """Let a pipe that nobody reads be an error only: PETSc ends a program that is told of it by a signal. Local."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGPIPE})
+    try:
+        yield
+    finally:
+        signal.sigtimedwait({signal.SIGPIPE}, 0)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 class Died(RuntimeError):
@@ -56,7 +67,7 @@ class Apart:
             self._process.kill()
             for stream in (self._process.stdin, self._process.stdout):
                 if stream:
-                    with suppress(BrokenPipeError):  # of what was still to be sent to a process that has gone
+                    with suppress(BrokenPipeError), _unsignalled():  # what was still to be sent, and to whom, has gone
                         stream.close()
             self._process.wait()
             self._process = None
@@ -106,7 +117,8 @@ class Apart:
 
     def _send(self, stream: IO[bytes], message: object) -> None:
         try:
-            write(stream, message)
+            with _unsignalled():
+                write(stream, message)
         except BrokenPipeError:
             raise Died(self._ending()) from None
 
