@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import numbers
 import operator
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Iterable, Mapping, Sequence, Set
+from typing import SupportsIndex, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -40,7 +41,7 @@ def axes_of(name: str, given: object) -> list[object]:
     try:
         if isinstance(given, (str, bytes, Mapping, Set)):
             raise TypeError
-        return list(given)  # type: ignore[call-overload, no-any-return]
+        return list(cast(Iterable[object], given))
     except TypeError:
         raise TypeError(f"{name} must be a list with one entry an axis, such as [8], not {told(given)}") from None
 
@@ -48,11 +49,11 @@ def axes_of(name: str, given: object) -> list[object]:
 def whole_number(name: str, given: object, least: int) -> int:
     """Return a whole number, Python's or NumPy's, that is not below `least`."""
     wrong = isinstance(given, (bool, np.bool_)) or not isinstance(given, numbers.Integral)
-    if wrong or operator.index(given) < least:  # type: ignore[arg-type]
+    if wrong or operator.index(cast(SupportsIndex, given)) < least:
         raise (TypeError if wrong else ValueError)(
             f"{name} must be a whole number, {least} or above, not {told(given)}"
         )
-    return operator.index(given)  # type: ignore[arg-type]
+    return operator.index(cast(SupportsIndex, given))
 
 
 def real_number(name: str, given: object, rule: str = "a number") -> float:

@@ -56,7 +56,7 @@ class Projection:
         self.mapping, self.tolerance, self.prefix = mapping, tolerance, prefix
         self.iterations, self.factorised = 0, False
         self._patience, self._again = PATIENCE[0], -1
-        self._sharper = 1.0
+        self._sharper, self._uncertainty = 1.0, 0.0
 
     @cached_property
     def krylov(self) -> GramSolver:
@@ -100,7 +100,7 @@ class Projection:
             self.iterations = self.krylov.iterations
             return answer
         if self.mapping.version >= self._again:
-            found = self._by_iteration(sums, series, quantities)
+            found = self._by_iteration(sums, series, quantities, strict)
             if found is not None:
                 return found
         return self._by_factors(sums, strict)
@@ -113,10 +113,10 @@ class Projection:
     @property
     def uncertainty(self) -> float:
         """Largest uncertainty of P that was found; see `DirectSolver`."""
-        return self.direct.uncertainty
+        return max(self._uncertainty, self.direct.uncertainty)
 
     def _by_iteration(
-        self, sums: FloatArray, series: Hashable | None, quantities: Sequence[int] | None
+        self, sums: FloatArray, series: Hashable | None, quantities: Sequence[int] | None, strict: bool
     ) -> FloatArray | None:
         """Return what conjugate gradients find, or None if factors are what leads on."""
         self.factorised = False
@@ -135,7 +135,10 @@ class Projection:
                 return None
             # products with the rounded entries of G leave an error of ε/λ, whatever the residual
             if ERROR * self.tolerance * self.krylov.smallest <= ROUNDING:
-                raise NotConverged(self._too_large())
+                if strict:
+                    raise NotConverged(self._too_large())
+                self._uncertainty = max(self._uncertainty, ROUNDING / max(self.krylov.smallest, ROUNDING))
+                return answer
             self._sharper = 0.5 * needed
 
     def _by_factors(self, sums: FloatArray, strict: bool) -> FloatArray:

@@ -12,4 +12,4 @@ import mpipic.particles.layouts
 import mpipic.physics.acoustics.midpoint
 import mpipic.physics.acoustics.physics
 import mpipic.physics.acoustics.slopes
-import mpipic.physics.acoustics.solutions  # noqa: F401
+import mpipic.physics.acoustics.solutions  # noqa: F401  parts register when imported
